@@ -3,8 +3,8 @@
     python tests/mutate.py kontur_av/streams/budget.py --mutations 12 --seed 1
     python tests/mutate.py telepresence/link pipelines/mission --nearest --total 40 --seed 1
 
-Not part of CI. Without a module: all modules of NEAR. The tests run on a copy of the tree.
-With `--nearest` only the nearest folder of tests/unit runs, whatever NEAR says.
+The test file of a module runs, with `--nearest` its folder of tests/unit. The tests run on a copy
+of the tree. Part of the nightly tier only.
 """
 
 import argparse
@@ -24,95 +24,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 UNIT = "tests/unit"
-LINK = f"{UNIT}/telepresence/link"
-PRIORITIES = "tests/unit/telepresence/link/test_link_priorities.py"
-
-#: The tests of a module that its folder in tests/unit does not hold, or those of the folder that
-#: suffice. Quick ones first, because the first failure ends a run.
-NEAR: dict[str, tuple[str, ...]] = {
-    "kontur_av/rtp/receiver.py": (
-        f"{UNIT}/kontur_av/rtp/test_rtp_stream.py",
-        f"{UNIT}/kontur_av/rtp/test_rtp_vectors.py",
-        "tests/fuzz/test_rtp_fuzz.py",
-    ),
-    "kontur_av/rtp/playout.py": (
-        f"{UNIT}/kontur_av/rtp/test_rtp_playout.py",
-        f"{UNIT}/kontur_av/streams/test_voice.py",
-        "tests/fuzz/test_rtp_fuzz.py",
-    ),
-    "kontur_av/rtp/nal_payload.py": (
-        f"{UNIT}/kontur_av/rtp/test_nal_formats.py",
-        f"{UNIT}/kontur_av/rtp/test_rtp_stream.py",
-        f"{UNIT}/kontur_av/rtp/test_rtp_vectors.py",
-        "tests/fuzz/test_rtp_fuzz.py",
-    ),
-    "kontur_av/rtp/sdp.py": (
-        f"{UNIT}/kontur_av/rtp/test_sdp.py",
-        f"{UNIT}/kontur_av/rtp/test_rtp_vectors.py",
-        "tests/fuzz/test_rtp_fuzz.py",
-    ),
-    "kontur_av/streams/budget.py": (
-        f"{UNIT}/kontur_av/streams/test_budget.py",
-        "tests/sim/test_caps.py",
-        f"{UNIT}/kontur_av/streams/test_video_stream.py",
-    ),
-    "telepresence/link/queues.py": (
-        f"{LINK}/test_link_queues.py",
-        f"{LINK}/test_link_bucket.py",
-        f"{LINK}/test_link_gateway.py",
-        f"{LINK}/test_link_backlog.py",
-        "tests/unit/telepresence/link/test_link_ages.py",
-        "tests/fuzz/test_link_reader.py",
-        PRIORITIES,
-    ),
-    "telepresence/link/sender.py": (
-        "tests/vectors/test_link_frames.py",
-        f"{LINK}/test_link_receiver.py",
-        f"{LINK}/test_link_gateway.py",
-        f"{LINK}/test_link_arithmetic.py",
-        "tests/fuzz/test_link_reader.py",
-        "tests/fuzz/test_link_fuzz.py",
-        PRIORITIES,
-    ),
-    "telepresence/link/receiver.py": (
-        f"{LINK}/test_link_receiver.py",
-        "tests/vectors/test_link_frames.py",
-        f"{LINK}/test_link_gateway.py",
-        "tests/fuzz/test_link_fuzz.py",
-        "tests/fuzz/test_link_loss.py",
-        "tests/unit/telepresence/link/test_link_strangers.py",
-        PRIORITIES,
-    ),
-    "telepresence/link/compression/header_compression.py": (
-        f"{LINK}/compression",
-        "tests/vectors/test_link_header_forms.py",
-        "tests/unit/telepresence/link/compression/test_link_headers.py",
-    ),
-    "telepresence/link/supervision/supervisor.py": (
-        "tests/unit/telepresence/link/supervision/test_link_supervision_counts.py",
-        f"{LINK}/test_link_gateway.py",
-        "tests/vectors/test_supervision_messages.py",
-        "tests/fuzz/test_link_supervision_fuzz.py",
-        "tests/unit/telepresence/link/supervision/test_link_supervision.py",
-        "tests/unit/telepresence/link/supervision/test_link_supervision_loss.py",
-        "tests/unit/telepresence/link/supervision/test_link_supervision_application.py",
-        "tests/unit/telepresence/link/test_link_strangers.py",
-    ),
-    "telepresence/haptics/passivity.py": (
-        f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
-        f"{UNIT}/telepresence/haptics/test_passivity.py",
-        "tests/unit/telepresence/haptics/test_haptics_passivity.py",
-        "tests/unit/telepresence/haptics/test_haptics_replay.py",
-    ),
-    "telepresence/haptics/robot_controller.py": (
-        f"{UNIT}/telepresence/haptics/test_haptics_ends.py",
-        "tests/unit/telepresence/haptics/test_haptics_direction.py",
-        "tests/unit/telepresence/haptics/test_haptics_passivity.py",
-    ),
-    "pipelines/report/collector.py": (f"{UNIT}/pipelines/report",),
-    "pipelines/report/journeys.py": (f"{UNIT}/pipelines/report",),
-    "pipelines/session/session_switch.py": (f"{UNIT}/pipelines/session/test_restarts.py",),
-}
 
 #: A run may take this many times as long as without a fault, and these seconds more.
 PATIENCE = (4.0, 30.0)
@@ -275,15 +186,16 @@ def _is_removable(statement: ast.stmt) -> bool:
 
 
 def tests_near(module: str, *, nearest: bool) -> list[str]:
-    """Return the test files and folders for a module, those that exist.
+    """Return the test file of a module, if it has one; otherwise, or with `nearest`, a folder.
 
-    nearest: only the folder that mirrors the module's, or the next one above it.
+    nearest: the folder of tests/unit that mirrors the module's, or the next one above it.
     """
-    mirrors = [f"{UNIT}/{folder.as_posix()}" for folder in Path(module).parents]
-    mirror = next(place for place in mirrors if (ROOT / place).exists())
-    if nearest:
-        return [mirror]
-    return [place for place in NEAR.get(module, (mirror,)) if (ROOT / place).exists()]
+    place = Path(module)
+    own = f"{UNIT}/{place.parent.as_posix()}/test_{place.name}"
+    if not nearest and (ROOT / own).exists():
+        return [own]
+    mirrors = [f"{UNIT}/{folder.as_posix()}" for folder in place.parents]
+    return [next(mirror for mirror in mirrors if (ROOT / mirror).exists())]
 
 
 def _modules(places: list[str]) -> list[str]:
@@ -298,7 +210,7 @@ def _modules(places: list[str]) -> list[str]:
 
 def _chosen(options: argparse.Namespace) -> dict[str, list[Mutation]]:
     """Return the mutations by module."""
-    modules = _modules(options.modules) or list(NEAR)
+    modules = _modules(options.modules)
     found = {m: mutations((ROOT / m).read_text(encoding="utf-8")) for m in modules}
     if options.line is not None:
         return {m: [each for each in found[m] if each.line == options.line] for m in modules}
@@ -328,9 +240,10 @@ def _run_tests(tree: str, places: list[str]) -> None:
 
     # A failure needs no smallest example.
     phases = [hypothesis.Phase.explicit, hypothesis.Phase.generate]
-    hypothesis.settings.register_profile("mutate", phases=phases, database=None, deadline=None)
-    hypothesis.settings.load_profile("mutate")
-    options = ["-x", "-q", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
+    profile = {"phases": phases, "database": None, "deadline": None, "derandomize": True}
+    hypothesis.settings.register_profile("mutate", **profile)
+    os.environ["HYPOTHESIS_PROFILE"] = "mutate"
+    options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider"]
     os._exit(int(pytest.main([*options, *places])))
 
 
@@ -358,7 +271,7 @@ def _copy_tree(to: Path) -> Path:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("modules", nargs="*", help="files or folders; none: all of NEAR")
+    parser.add_argument("modules", nargs="+", help="files or folders")
     parser.add_argument("--mutations", type=int, default=12, help="of each module (12)")
     parser.add_argument("--seed", type=int, default=1, help="which mutations (1)")
     parser.add_argument("--total", type=int, help="mutations of all modules together")
