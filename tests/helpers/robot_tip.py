@@ -5,6 +5,7 @@ from math import dist
 
 from running_session import eventually
 
+from kontur_av.clock import NS_PER_MS
 from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import ROBOT_TOPIC
 
@@ -36,6 +37,18 @@ class Tip:
             place = self.place()
             most_m = max(most_m, abs(place[0] - x_m), abs(place[1] - y_m))
         return most_m
+
+    def holds(self, cycles):
+        """Whether it has not moved while the robot's loop went through so many cycles of 1 ms."""
+        first = self.state()
+        while (state := self.state()).time_ns < first.time_ns + cycles * NS_PER_MS:
+            if max(abs(state.x_m - first.x_m), abs(state.y_m - first.y_m)) >= STILL_M:
+                return False
+        return True
+
+    def rests(self):
+        """Wait until it has come to rest."""
+        eventually(lambda: self.holds(200), "the rest of the robot")
 
     def wait_until_it_moves(self):
         place = self.place()

@@ -2,9 +2,10 @@
 
 import signal
 import subprocess
-import sys
-import time
 from contextlib import contextmanager
+
+from common import PATIENCE_S
+from running_session import COMMAND
 
 #: A program that tells what it is given, ten times a second, and where it runs.
 PROGRAM = """#!/bin/sh
@@ -29,29 +30,17 @@ def make(folder, name, status=WORKS, text=PROGRAM):
 
 def command(*words):
     done = subprocess.run(
-        [sys.executable, "-m", "pipelines.cli", *map(str, words)],
-        capture_output=True,
-        text=True,
-        timeout=60,
+        [*COMMAND, *map(str, words)], capture_output=True, text=True, timeout=PATIENCE_S
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 @contextmanager
-def running(*words):
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pipelines.cli", *map(str, words)], stdout=subprocess.DEVNULL
-    )
+def running(*words, stdout=subprocess.DEVNULL):
+    process = subprocess.Popen([*COMMAND, *map(str, words)], stdout=stdout)
     try:
         yield process
     finally:
         process.send_signal(signal.SIGTERM)
-        process.wait(60)
-
-
-def until(check):
-    end_s = time.monotonic() + 60
-    while not check():
-        assert time.monotonic() < end_s
-        time.sleep(0.1)
+        process.wait(PATIENCE_S)

@@ -4,75 +4,106 @@ import os
 import signal
 import time
 
-from robot_tip import STILL_M, Tip
+import pytest
+from robot_tip import Tip
 from running_session import eventually
 
+from pipelines.hand.hand_topics import unpack_status
+from pipelines.session.mission_messages import RobotStatus, unpack
+from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_STATUS_TOPIC
+from telepresence.haptics.device.states import JoystickState
 
-def restarted(session, name, pids, number):
-    """Send a process a signal that ends it; wait for its successor."""
-    os.kill(pids[name], number)
-    others = {pid for other, pid in pids.items() if other != name}
-    (pids[name],) = eventually(
-        lambda: [pid for pid in session.children() if pid not in (*others, pids[name])],
-        f"the restart of {name}",
-    )
+#: Cycles of the robot's loop that would show a motion.
+CYCLES = 1000
+#: A joystick that was halted when its process ended begins so.
+HELD = (JoystickState.STANDBY, JoystickState.HALTED)
 
 
+class Watched:
+    """The processes of a session that move the robot, and what they say."""
+
+    def __init__(self, session, bus):
+        self.session, self.pids, self.tip = session, session.pids(), Tip(bus)
+        self._readers = {
+            "joystick": bus.reader(JOYSTICK_STATE_TOPIC),
+            "robot": bus.reader(ROBOT_STATUS_TOPIC),
+        }
+
+    def kill(self, name):
+        """Kill a process; wait until its next life says what it does."""
+        os.kill(self.pids[name], signal.SIGKILL)
+        before = {*self.pids.values()}
+        (self.pids[name],) = eventually(
+            lambda: {*self.session.children()} - before, f"the restart of {name}"
+        )
+        self._readers[name].latest_octets()
+        self.newest(name)
+
+    def newest(self, name):
+        octets = eventually(self._readers[name].latest_octets, f"what {name} says")
+        return unpack(RobotStatus, octets) if name == "robot" else unpack_status(octets)
+
+    def stays_halted(self):
+        """Whether the joystick waits for an order to start, and the robot does not move."""
+        return self.tip.holds(CYCLES) and self.newest("joystick").state in HELD
+
+
+@pytest.mark.rule("S10")
+@pytest.mark.rule("S6")
 def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatch):
     session = start("taskboard")
-    pids = session.pids()
     with session.bus(monkeypatch) as bus:
-        tip = Tip(bus)
+        watched = Watched(session, bus)
+        tip = watched.tip
         tip.wait_until_it_moves()
         assert session.ask("tc", "joystick", "halt").returncode == 0
-        tip.way(0.5)
-        restarted(session, "joystick", pids, signal.SIGKILL)
-        # Long enough for self-test, calibration and a press.
-        assert tip.way(5) < STILL_M
+        tip.rests()
+        watched.kill("joystick")
+        assert watched.stays_halted()
         assert session.ask("tc", "joystick", "start").returncode == 0
         tip.wait_until_it_moves()
 
         stopped = session.ask("stop")
         assert stopped.returncode == 0 and "emergency stop by" in stopped.stdout
-        tip.way(0.5)
-        assert tip.way(1) < STILL_M
-        for name in ("robot", "joystick"):
-            restarted(session, name, pids, signal.SIGKILL)
-        assert tip.way(5) < STILL_M
+        tip.rests()
+        watched.kill("robot")
+        watched.kill("joystick")
+        assert tip.holds(CYCLES) and watched.newest("robot").stopped
         refused = session.ask("tc", "robot", "power_on")
         assert refused.returncode == 1 and "emergency stop" in refused.stdout + refused.stderr
         assert session.ask("stop", "--release").returncode == 0
-        assert tip.way(2) < STILL_M
+        assert tip.holds(CYCLES)
         assert session.ask("tc", "robot", "power_on").returncode == 0
+        # The hand is simulated, and presses anew.
         tip.wait_until_it_moves()
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
-    # The hand is simulated, and presses anew.
     assert report["safety"]["presses"] >= 1
     assert report["safety"]["hold"] == ""
 
 
+@pytest.mark.rule("S2")
 def test_after_a_stall_of_an_end_the_robot_holds_until_a_new_press(start, monkeypatch):
     session = start("taskboard")
     pids = session.pids()
     with session.bus(monkeypatch) as bus:
         tip = Tip(bus)
-        for name in ("joystick", "robot", "joystick"):
+        for name in ("joystick", "robot"):
             tip.wait_until_it_moves()
             os.kill(pids[name], signal.SIGSTOP)
-            time.sleep(1.5)
+            # Longer than after which a new press is needed.
+            time.sleep(0.5)
             os.kill(pids[name], signal.SIGCONT)
             tip.place()
             # The simulated hand lets go for half a second, before it presses anew.
-            assert tip.way(0.3) < STILL_M, name
+            assert tip.holds(300), name
         tip.wait_until_it_moves()
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
-    assert report["safety"]["presses"] == 4
+    assert report["safety"]["presses"] == 3
     # The joystick has calibrated itself once.
     joystick = report["joystick"]
-    assert joystick["state"] == "application"
     log = [entry["state"] for entry in joystick["log"]]
     assert log == ["standby", "standby", "calibrated", "application"]
-    assert joystick["temperature_c"] > 20
+    assert joystick["state"] == "application" and joystick["temperature_c"] > 20
     assert {entry["restarts"] for entry in report["processes"].values()} == {0}

