@@ -74,6 +74,9 @@ def test_without_a_size_a_decoder_takes_4k_of_10_bits_and_no_more(codec):
     ):
         unit = join_annex_b([sps(codec, said.pop("width"), said.pop("height"), **said)])
         assert DecoderGuard(codec).admit(unit) == (unit if passes else b"")
+    decoder = VideoDecoder(codec)
+    assert shown(decoder, access_units(codec, 8192, 4096, count=1)) == [0]
+    assert decoder.counts.sets_refused == 1
 
 
 @both

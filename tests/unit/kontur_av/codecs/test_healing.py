@@ -3,47 +3,42 @@
 import av
 import numpy as np
 import pytest
+from coding_loop import FPS, decode, decode_all, encode
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.decoder import VideoDecoder
-from kontur_av.codecs.h26x import H264Decoder, H264Encoder
+from kontur_av.codecs.h26x import recovery_point
 from kontur_av.codecs.healing import Healing, recovery_pictures
-from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.media import empty_picture
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
-from kontur_av.rtp.nal_formats import H264, H264_IDR
+from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import ReceivedUnit
 
-FPS = 30
 
-
-def received(data, *, damaged=False, lost_before=0, timestamp=0):
-    idr = any(H264.nal_type(nal) == H264_IDR for nal in split_annex_b(data))
-    return ReceivedUnit(data, timestamp, idr, damaged, lost_before, 0, 0)
+def received(data, *, damaged=False, lost_before=0, timestamp=0, codec="h264"):
+    form = NAL_FORMATS[codec]
+    key = any(form.nal_type(nal) in form.keys for nal in split_annex_b(data))
+    return ReceivedUnit(data, timestamp, key, damaged, lost_before, 0, 0, codec=codec)
 
 
 def sei(kind, payload):
     return join_annex_b([bytes((6, kind, len(payload))) + payload + b"\x80", b"\x01\x9a"])
 
 
-def encoded(seconds, **options):
-    """Return some seconds of a noisy moving picture."""
-    encoder = H264Encoder(width=320, height=240, fps=FPS, cap_bps=200_000, **options)
-    noise = np.random.default_rng(1).integers(60, 200, (240, 320), np.uint8)
-    found = []
-    for number in range(seconds * FPS):
+def noise(count):
+    """Yield a noisy moving picture."""
+    luma = np.random.default_rng(1).integers(60, 200, (240, 320), np.uint8)
+    for number in range(count):
         picture = empty_picture(320, 240)
         picture[:] = 128
-        picture[:240] = np.roll(noise, 3 * number, axis=1)
-        stamp = CaptureStamp(number * NS_PER_S // FPS, number, "test")
-        found.append(encoder.encode(VideoFrame(picture, stamp)))
-    return found
+        picture[:240] = np.roll(luma, 3 * number, axis=1)
+        yield picture
 
 
 @pytest.fixture(scope="module")
 def units():
-    return encoded(3, refresh_s=1.0)
+    return encode(noise(3 * FPS), cap_bps=200_000, refresh_s=1.0)
 
 
 def test_an_undamaged_stream_is_never_called_damaged(units):
@@ -51,35 +46,18 @@ def test_an_undamaged_stream_is_never_called_damaged(units):
     assert not any(healing.handle_unit(received(u.data)) for u in units)
 
 
-def pictures(units):
-    decoder = H264Decoder()
-    return {
-        number: picture.to_i420()
-        for number, data in units
-        for picture in decoder.decode(data, number)
-    }
-
-
 @pytest.mark.parametrize("lost", [{20}, {31, 32, 33}, {44}])
 def test_damage_ends_with_the_refresh_and_then_the_picture_is_right(units, lost):
-    healing = Healing()
-    kept, damaged = [], {}
-    missed = 0
+    healing, hurt = Healing(), []
     for number, unit in enumerate(units):
-        if number in lost:
-            missed += 1
-            continue
-        arrived = received(unit.data, lost_before=missed)
-        damaged[number] = healing.handle_unit(arrived)
-        kept.append((number, unit.data))
-        missed = 0
-    hurt = [number for number, is_hurt in damaged.items() if is_hurt]
-    assert hurt[0] == max(lost) + 1
+        missed = len(lost) * (number == max(lost) + 1)
+        if number not in lost and healing.handle_unit(received(unit.data, lost_before=missed)):
+            hurt.append(number)
     # Contiguous, and over within two refresh periods, because one may have begun before.
-    assert hurt == list(range(hurt[0], hurt[-1] + 1))
+    assert hurt == list(range(max(lost) + 1, hurt[-1] + 1))
     assert len(hurt) <= 2 * FPS
-    whole, broken = pictures(enumerate(u.data for u in units)), pictures(kept)
-    wrong = [n for n, picture in broken.items() if not np.array_equal(picture, whole[n])]
+    whole, broken = decode_all(units), decode(units, lost=lost)
+    wrong = [n for n, one in broken.items() if not np.array_equal(one.to_i420(), whole[n])]
     assert wrong, "a loss does harm"
     assert set(wrong) <= set(hurt), "what is called healed is right to the last bit"
 
@@ -126,7 +104,7 @@ def test_after_a_recovery_point_time_may_begin_anew(back, hurt):
 def test_without_feedback_the_worst_loss_is_healed_within_three_seconds():
     """The worst loss is that of the first picture of a wave: the next wave heals it."""
     healing = Healing()
-    units = encoded(7)
+    units = encode(noise(5 * FPS), cap_bps=200_000)
     (first, second, *_) = (n for n, unit in enumerate(units) if recovery_pictures(unit.data))
     hurt = [
         number
@@ -158,6 +136,25 @@ def test_a_recovery_point_behind_other_messages_is_found():
     unit = join_annex_b([b"\x06" + other + bytes((6, 1)) + b"\x60\x80", b"\x01\x9a"])
     assert recovery_pictures(unit) == 2
     assert recovery_pictures(sei(1, b"\x60")) is None
+    # Of HEVC, as written here.
+    for pictures in (0, 1, 2, 29, 1799):
+        assert recovery_pictures(join_annex_b([recovery_point(pictures)]), "h265") == pictures
+
+
+@pytest.mark.parametrize("codec", ["h264", "h265"])
+def test_after_a_loss_a_key_picture_heals_what_is_shown(codec):
+    units = encode(noise(20), codec=codec, keyframes=(12,), refresh_s=60)
+    healing, decoder = Healing(), VideoDecoder(codec)
+    hurt = [
+        number
+        for number, unit in enumerate(units)
+        if number != 5
+        and healing.handle_unit(received(unit.data, lost_before=number == 6, codec=codec))
+    ]
+    assert hurt == list(range(6, 12))
+    shown = decode(units, decoder=decoder, lost={5})
+    assert set(shown) >= set(range(12, 20))
+    assert codec == "h264" or decoder.counts.frames_corrupt + len(shown) == 19
 
 
 @given(st.binary(max_size=60))

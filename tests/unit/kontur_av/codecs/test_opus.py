@@ -1,13 +1,20 @@
-"""Packets of constant size, restored sound, and a libopus from the system or from PyAV."""
+"""Packets of constant size, and restored sound."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kontur_av.codecs import libopus
-from kontur_av.codecs.opus import FRAME_SAMPLES, OpusDecoder, OpusEncoder, bitrate_under_cap
+from kontur_av.codecs.opus import (
+    FRAME_SAMPLES,
+    LOOKAHEAD_SAMPLES,
+    OpusDecoder,
+    OpusEncoder,
+    bitrate_under_cap,
+    heard_stamp,
+)
 from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.media import CaptureStamp
 
 
 def tone(samples, hz=300):
@@ -84,35 +91,26 @@ def test_garbage_is_a_protocol_error_or_sound(packet):
     assert decoder.decode(encoder.encode(tone(960))).shape == (960,)
 
 
-@pytest.mark.parametrize("cap_bps", [8_000, 24_000, 64_000])
 @pytest.mark.parametrize("frame_samples", FRAME_SAMPLES)
-def test_two_packets_more_in_a_second_keep_the_cap(cap_bps, frame_samples):
-    bitrate_bps = bitrate_under_cap(cap_bps, frame_samples)
-    octets = OpusEncoder(bitrate_bps=bitrate_bps, frame_samples=frame_samples).packet_octets
+def test_two_packets_more_in_a_second_keep_the_cap(frame_samples):
     packets = -(-48_000 // frame_samples) + 2
-    assert packets * octets * 8 <= cap_bps < packets * (octets + 1) * 8
-
-
-@pytest.mark.parametrize("frame_samples", FRAME_SAMPLES)
-def test_an_unusable_opus_cap_is_refused_with_its_value(frame_samples):
+    for cap_bps in (8_000, 24_000, 64_000):
+        bitrate_bps = bitrate_under_cap(cap_bps, frame_samples)
+        octets = OpusEncoder(bitrate_bps=bitrate_bps, frame_samples=frame_samples).packet_octets
+        assert packets * octets * 8 <= cap_bps < packets * (octets + 1) * 8
     for cap_bps in (0, 500, 6_000, 600_000):
         with pytest.raises(ConfigError, match=rf"^a cap of {cap_bps / 1000:g} kbit/s: "):
             bitrate_under_cap(cap_bps, frame_samples)
 
 
-@pytest.mark.parametrize("cap_bps", [6_240, 6_400, 6_401, 530_400])
-def test_an_accepted_cap_can_be_coded(cap_bps):
-    assert OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps)).packet_octets >= 15
+def test_an_accepted_cap_can_be_coded_and_invalid_settings_are_refused():
+    for cap_bps in (6_240, 6_400, 6_401, 530_400):
+        assert OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps)).packet_octets >= 15
+    for wrong in ({"bitrate_bps": 5_000}, {"frame_samples": 961}):
+        with pytest.raises(ConfigError):
+            OpusEncoder(**{"bitrate_bps": 8_000, **wrong})
 
 
-@pytest.mark.parametrize("wrong", [{"bitrate_bps": 5_000}, {"frame_samples": 961}])
-def test_invalid_opus_settings_are_refused(wrong):
-    with pytest.raises(ConfigError):
-        OpusEncoder(**{"bitrate_bps": 8_000, **wrong})
-
-
-def test_no_libopus_at_all_names_the_mend(monkeypatch):
-    monkeypatch.setattr(libopus.ctypes.util, "find_library", lambda name: None)
-    monkeypatch.setattr(libopus, "carried_by_pyav", lambda: None)
-    with pytest.raises(ConfigError, match="libopus0"):
-        libopus.load.__wrapped__()
+def test_the_look_ahead_counts_for_the_latency():
+    assert OpusEncoder(bitrate_bps=8_000).lookahead_samples == LOOKAHEAD_SAMPLES
+    assert heard_stamp(CaptureStamp(10**9, 3, "mic")) == CaptureStamp(10**9 - 6_500_000, 3, "mic")

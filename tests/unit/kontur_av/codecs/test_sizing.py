@@ -8,25 +8,24 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+import pytest
+from coding_loop import SHARE_OCTETS, decode, encode, enlarged, keys, octets
+from common import psnr_db
 
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.codecs.sizing import CALM, RARE, Cuts, SizeChoice
-from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
+from kontur_av.media import empty_picture, planes
 
 AREAS = (320 * 240, 384 * 288, 480 * 360, 640 * 480)
 USUAL, FULL = 1, 3
 
 
-def choice():
-    return SizeChoice(AREAS, usual=USUAL, rate_hz=30)
-
-
 class Film:
     """Passes pictures to a choice, and keeps the indices that it returned."""
 
-    def __init__(self, choice):
-        self.choice, self.indices, self._number = choice, [], 0
+    def __init__(self):
+        self.choice = SizeChoice(AREAS, usual=USUAL, rate_hz=30)
+        self.indices, self._number = [], 0
 
     def show(self, pictures, content, *, moving=0.0, anew=False, shares=1.0):
         """Let a share `moving` of the cells change with each picture."""
@@ -38,7 +37,7 @@ class Film:
             self.indices.append(index)
             loss = content.scaling[index] if self.choice.wants_scaling_loss else None
             self.choice.handle_unit(content.quantiser[index], shares, content.coding, loss)
-        return self.indices[-1]
+        return self.indices[-1] if self.indices else None
 
 
 class Content(NamedTuple):
@@ -57,26 +56,22 @@ SHELF = Content((26, 29, 32, 37), 14, (9, 6, 2, 0))
 FOOTAGE = Content((34, 37, 40, 46), 20, (0.6, 0.3, 0.2, 0))
 
 
-def test_a_picture_that_stands_from_the_start_grows_at_once_to_its_full_size():
-    film = Film(choice())
-    film.show(900, BOARD, moving=0.03)
+@pytest.mark.parametrize(
+    ("moved", "earliest", "latest"),
+    # From the start at once; one that comes to rest after some seconds.
+    [(0, 15, 30), (60, 90, 200)],
+)
+def test_a_picture_that_stands_grows_to_its_full_size(moved, earliest, latest):
+    film = Film()
+    film.show(moved, BOARD, moving=0.3)
+    film.show(500, BOARD, moving=0.03)
     grown = film.indices.index(FULL)
-    assert 15 < grown < 30
-    assert set(film.indices[:grown]) == {USUAL}
-    assert set(film.indices[grown:]) == {FULL}
-
-
-def test_a_picture_that_comes_to_rest_grows_after_some_seconds():
-    film = Film(choice())
-    film.show(60, BOARD, moving=0.3)
-    film.show(900, BOARD, moving=0.03)
-    grown = film.indices.index(FULL) - 60
-    assert 90 < grown < 200
-    assert set(film.indices[60 + grown :]) == {FULL}
+    assert earliest < grown - moved < latest
+    assert set(film.indices[:grown]) == {USUAL} and set(film.indices[grown:]) == {FULL}
 
 
 def test_a_cut_to_a_picture_that_stands_grows_again_unless_the_last_growth_was_in_vain():
-    film = Film(choice())
+    film = Film()
     film.show(400, BOARD)
     film.show(1, BOARD, anew=True)
     assert film.show(30, BOARD) == FULL
@@ -85,20 +80,20 @@ def test_a_cut_to_a_picture_that_stands_grows_again_unless_the_last_growth_was_i
 
 
 def test_a_size_between_is_not_taken_early():
-    film = Film(choice())
+    film = Film()
     coarse = BOARD._replace(quantiser=tuple(step + 10 for step in BOARD.quantiser))
     assert film.show(60, coarse) == USUAL
 
 
 def test_a_picture_that_stands_does_not_grow_while_coding_loses_more_than_scaling():
-    film = Film(choice())
+    film = Film()
     assert film.show(900, SHELF) == USUAL
     assert film.choice.changes == 0
     assert film.show(900, SHELF._replace(coding=3)) == FULL
 
 
 def test_a_noisy_picture_that_stands_keeps_the_size_to_which_it_grew():
-    film = Film(choice())
+    film = Film()
     noisy = BOARD._replace(quantiser=(29, 32, 37, 44))
     assert film.show(900, noisy) == FULL
     assert film.choice.changes == 1
@@ -106,14 +101,14 @@ def test_a_noisy_picture_that_stands_keeps_the_size_to_which_it_grew():
 
 def test_motion_a_cut_and_a_late_picture_end_the_large_size_at_once():
     for ending in ({"moving": 0.5}, {"anew": True}, {"shares": 3.0}):
-        film = Film(choice())
+        film = Film()
         assert film.show(300, BOARD) == FULL
         assert film.show(3, BOARD, **ending) == USUAL
         assert film.choice.changes == 2
 
 
 def test_footage_in_motion_is_coded_smaller_and_a_short_one_is_not():
-    film = Film(choice())
+    film = Film()
     assert film.show(120, FOOTAGE, moving=0.2) == USUAL
     assert film.show(60, BOARD) == USUAL
     assert film.show(400, FOOTAGE, moving=0.2) == 0
@@ -121,7 +116,7 @@ def test_footage_in_motion_is_coded_smaller_and_a_short_one_is_not():
 
 
 def test_growth_in_vain_is_tried_ever_less_often():
-    film = Film(choice())
+    film = Film()
     grown = []
     for _ in range(4):
         since = len(film.indices)
@@ -132,43 +127,37 @@ def test_growth_in_vain_is_tried_ever_less_often():
     assert all(later > 1.7 * sooner for sooner, later in pairwise(grown))
 
 
-def test_a_fast_refresh_takes_a_smaller_size_and_a_slow_one_the_usual_size_again():
-    encoder = H264Encoder(width=640, height=480, fps=30, cap_bps=85_000, refresh_s=1.0)
+def still_of(count, *, grey=False):
+    """Return a picture that stands, full of rings or grey, several times."""
     still = empty_picture(640, 480)
     still[:] = 128
-    sizes = []
-    for number in range(300):
-        coding = Coding(refresh_s=20.0) if number == 280 else Coding()
-        encoder.encode(VideoFrame(still, CaptureStamp(number, number, "t")), coding)
-        sizes.append(encoder.unit_size)
-    assert sizes[0] == (320, 240)
-    assert set(sizes[:280]) <= {(320, 240), (384, 288)}
-    assert sizes[280] == (384, 288)
+    for number in range(0 if grey else 24):
+        at = 20 + 150 * (number % 4), 60 + 70 * (number // 4)
+        cv2.circle(planes(still)[0], at, 18, 30 + 8 * number, 3, cv2.LINE_AA)
+    return [still] * count
+
+
+def test_a_fast_refresh_takes_a_smaller_size_and_a_slow_one_the_usual_size_again():
+    codings = {80: Coding(refresh_s=20.0)}
+    units = encode(still_of(81, grey=True), refresh_s=1.0, codings=codings)
+    sizes = [(one.width, one.height) for one in decode(units).values()]
+    assert sizes[0] == (320, 240) and sizes[80] == (384, 288)
+    assert set(sizes[:80]) <= {(320, 240), (384, 288)}
 
 
 def test_a_still_picture_becomes_sharp_with_one_key_picture():
-    still = empty_picture(640, 480)
-    still[:] = 128
-    for number in range(24):
-        at = 20 + 150 * (number % 4), 60 + 70 * (number // 4)
-        cv2.circle(planes(still)[0], at, 18, 30 + 8 * number, 3, cv2.LINE_AA)
-    encoder = H264Encoder(width=640, height=480, fps=30, cap_bps=85_000, refresh_s=20)
-    decoder, shown, keys, octets = H264Decoder(), [], [], []
-    for number in range(300):
-        unit = encoder.encode(VideoFrame(still, CaptureStamp(number, number, "t")))
-        keys += [number] if unit.keyframe else []
-        octets.append(len(unit.data))
-        (picture,) = decoder.decode(unit.data, number)
-        large = empty_picture(640, 480)
-        picture.scale_into(large)
-        error = np.mean((planes(large)[0].astype(float) - planes(still)[0]) ** 2)
-        shown.append((picture.width, 10 * np.log10(255**2 / error)))
-    widths = [width for width, _ in shown]
+    originals = still_of(120)
+    units = encode(originals, refresh_s=20)
+    shown = decode(units)
+    widths = [picture.width for picture in shown.values()]
     grown = widths.index(640)
     assert set(widths[:grown]) == {384} and set(widths[grown:]) == {640}
-    assert keys == [0, grown]
-    assert shown[-1][1] > shown[grown - 1][1] + 2
-    assert max(octets[1:]) < 3.5 * 85_000 / 30 / 8
+    assert keys(units) == [0, grown]
+    before_db, after_db = (
+        psnr_db(planes(enlarged(shown[at]))[0], planes(originals[0])[0]) for at in (grown - 1, 119)
+    )
+    assert after_db > before_db + 2
+    assert octets(units)[1:].max() < 3.5 * SHARE_OCTETS
 
 
 def views(*lengths, change=2.0):
@@ -207,17 +196,9 @@ def test_repeatedly_requested_key_pictures_are_small():
 
 
 def test_footage_full_of_cuts_is_coded_small_and_they_are_on_time(pictures):
-    encoder = H264Encoder(width=640, height=480, fps=30, cap_bps=85_000, refresh_s=20)
-    decoder = H264Decoder()
-    sizes, octets = [], []
-    for n, picture in enumerate(pictures("bikes.mp4", 250)):
-        unit = encoder.encode(VideoFrame(picture, CaptureStamp(n, n, "t")))
-        (shown,) = decoder.decode(unit.data, n)
-        sizes.append((shown.width, shown.height))
-        octets.append(len(unit.data))
+    units = encode(pictures("bikes.mp4", 250), refresh_s=20)
+    sizes = [(one.width, one.height) for one in decode(units).values()]
     small = sizes.index((256, 192))
     assert set(sizes[:small]) == {(384, 288)} and set(sizes[small:]) == {(256, 192)}
-    share = 85_000 / 30 / 8
-    assert max(octets[1:small]) > 1.8 * share
-    assert max(octets[small:]) < 1.25 * share
-    assert encoder.coded_size == (384, 288)
+    assert octets(units)[1:small].max() > 1.8 * SHARE_OCTETS
+    assert octets(units)[small:].max() < 1.25 * SHARE_OCTETS
