@@ -1,18 +1,14 @@
 """What the operator's page and the joystick tell each other; the desk that hands the robot over."""
 
 import json
-from types import SimpleNamespace
 
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from kontur_av.clock import NS_PER_MS
-from pipelines.hand.desks import JoystickStatusTeller
 from pipelines.hand.hand_topics import (
     INPUT_OCTETS,
     REQUEST_OCTETS,
-    STATUS_OCTETS,
     ArmState,
     HandRequest,
     OwnerDesk,
@@ -22,14 +18,9 @@ from pipelines.hand.hand_topics import (
     unpack_request,
     unpack_status,
 )
-from pipelines.hand.process_ends import _hand
 from telepresence.haptics.axes import AXIS_NAMES
-from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.page import PageDevice, PageInput
-from telepresence.haptics.device.simulated import SimulatedDevice
-from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
-from telepresence.haptics.figures import HandInputFigures
-from telepresence.haptics.hand import Hand
+from telepresence.haptics.device.page import PageInput
+from telepresence.haptics.device.states import REQUESTS
 from telepresence.haptics.ownership import HapticOwnership, Owner
 
 
@@ -37,25 +28,20 @@ from telepresence.haptics.ownership import HapticOwnership, Owner
     st.builds(
         PageInput,
         st.booleans(),
-        st.floats(allow_nan=False),
-        st.floats(allow_nan=False),
-        st.integers(0, 2**32 - 1),
-        st.integers(0, 2**32 - 1),
+        *[st.floats(allow_nan=False)] * 2,
+        *[st.integers(0, 2**32 - 1)] * 2,
         st.integers(0, 2**63 - 1),
         st.lists(st.floats(-1, 1), max_size=5).map(tuple),
-    )
+    ),
+    st.sampled_from(sorted(REQUESTS, key=lambda one: one.value)),
 )
-def test_an_input_is_read_back(hand):
+def test_an_input_and_a_request_are_read_back(hand, event):
     data = pack_input(hand)
     assert len(data) <= INPUT_OCTETS
     assert unpack_input(data) == hand
-
-
-@given(st.integers(0, 2**63 - 1), st.sampled_from(sorted(REQUESTS, key=lambda one: one.value)))
-def test_a_request_is_read_back(number, event):
-    data = pack_request(HandRequest(number, event))
-    assert len(data) <= REQUEST_OCTETS
-    assert unpack_request(data) == HandRequest(number, event)
+    request = HandRequest(hand.received_ns, event)
+    assert len(pack_request(request)) <= REQUEST_OCTETS
+    assert unpack_request(pack_request(request)) == request
 
 
 @given(st.binary(max_size=96))
@@ -68,76 +54,6 @@ def test_other_octets_are_nothing(data):
     assert (unpack_input(data) is None) == (
         len(data) not in range(INPUT_OCTETS - 8 * len(AXIS_NAMES), INPUT_OCTETS + 1, 8)
     )
-
-
-class Desk:
-    """An operated handle on virtual time, with what its process tells."""
-
-    def __init__(self):
-        self.handle = OperatedHandle(SimulatedDevice(hand=Hand()))
-        self.teller = JoystickStatusTeller(self.handle)
-        self.told = []
-
-    def run(self, milliseconds):
-        for _ in range(milliseconds):
-            self.handle.step(0.0, 0.0, NS_PER_MS)
-            if self.handle.now_ns % (10 * NS_PER_MS) == 0:
-                data = self.teller.poll_status(self.handle.now_ns)
-                if data is not None:
-                    assert len(data) <= STATUS_OCTETS
-                    self.told.append(unpack_status(data))
-
-    def request(self, number, event):
-        self.told.clear()
-        self.teller.handle_request(pack_request(HandRequest(number, event)))
-        self.run(20)
-        return self.told[0]
-
-
-def test_a_command_is_answered_with_the_state_that_it_led_to():
-    desk = Desk()
-    desk.teller.handle_watched(True)
-    desk.run(4000)
-    assert desk.told[-1].state == JoystickState.APPLICATION
-    assert desk.told[-1].answered is None and desk.told[-1].force_limit_n == 12.0
-    status = desk.request(7, JoystickEvent.HALT)
-    assert (status.state, status.answered, status.refusal) == (JoystickState.HALTED, 7, "")
-    assert status.reason == "by a person's command"
-    status = desk.request(8, JoystickEvent.ACKNOWLEDGE)
-    assert status.answered == 8 and "not in the state halted" in status.refusal
-    status = desk.request(9, JoystickEvent.START)
-    assert (status.state, status.answered, status.refusal) == (JoystickState.APPLICATION, 9, "")
-    desk.told.clear()
-    desk.teller.handle_request(b"nonsense")
-    desk.run(1000)
-    # Nothing has changed but the hand that took the handle.
-    assert 10 <= len(desk.told) <= 13 and {one.answered for one in desk.told} == {9}
-
-
-def test_the_state_is_told_only_while_somebody_reads():
-    desk = Desk()
-    desk.run(500)
-    assert desk.told == []
-    desk.teller.handle_watched(True)
-    desk.run(10)
-    assert [one.state for one in desk.told] == [JoystickState.STANDBY]
-
-
-def test_inputs_of_a_page_that_move_nothing_are_told():
-    told, flushes = [], []
-    inputs = [PageInput(False, x, 0.0, 0, number) for number, x in enumerate((0.5, 0.5, 7.0))]
-    octets = iter([pack_input(one) for one in (*inputs, inputs[1])])
-    reader = SimpleNamespace(latest_octets=lambda: next(octets))
-    context = SimpleNamespace(
-        on_flush=flushes.append, probe=SimpleNamespace(tell=lambda figures: told.append(figures))
-    )
-    bus = SimpleNamespace(reader=lambda _topic: reader)
-    take = _hand(context, bus, PageDevice(start_m=(0.0, 0.0)), "input")
-    for _ in range(4):
-        take(0)
-    flushes[0]()
-    # One out of range, and one that came again.
-    assert told == [HandInputFigures(inputs_ignored=2)]
 
 
 def ask(desk, line):

@@ -1,0 +1,531 @@
+"""`joystick check`, `robot check`: a sound device passes, and each fault fails its check alone."""
+
+from dataclasses import replace
+from itertools import count
+from math import nan
+
+import pytest
+from places import ROOT
+from user_parts import Guided, load
+
+from kontur_av.clock import ManualClock
+from pipelines.cli import main
+from pipelines.hand.driver_checks import JoystickCheck, RobotCheck
+from telepresence.haptics.device.simulated import SimulatedDevice
+
+Lever, Mass = load("own_joystick.py").Lever, load("own_robot.py").Mass
+CLOCK, SAMPLES = ManualClock(), ROOT / "samples"
+#: Each fault: a class of devices, the check that it fails, and what breaks one.
+FAULTS = []
+#: Faults of so much that other checks fail, too.
+GREAT_FAULTS = []
+
+
+class Arm(Guided, Lever):
+    """A joystick with z and yaw, too."""
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        if self.age_s > 0.05:
+            self.release_axes()
+        self.advance_axes(dt_ns)
+
+    def close(self):
+        super().close()
+        self.release_axes()
+
+
+class Placed(Mass):
+    """A robot that takes places."""
+
+    facts = replace(Mass.facts, takes="position")
+
+    def write_position(self, x_m, y_m, vx_m_s, vy_m_s):
+        if self.active:
+            self.vx, self.vy = (x_m - self.x) * 50, (y_m - self.y) * 50
+
+    def advance(self, dt_ns):
+        if self.active:
+            self.x += self.vx * dt_ns / 1e9
+            self.y += self.vy * dt_ns / 1e9
+
+
+class Alone(Mass):
+    """A robot whose controller goes on by itself, and stops after 50 ms without a cycle."""
+
+    facts = replace(Mass.facts, runs_alone=True)
+    patience_ns = 50_000_000
+    at_ns = 0
+
+    def advance(self, dt_ns):
+        alone_ns = CLOCK.now_ns() - self.at_ns if self.at_ns else dt_ns
+        self.at_ns = CLOCK.now_ns()
+        for _ in range(min(alone_ns, self.patience_ns) // 1_000_000):
+            super().advance(1_000_000)
+        if alone_ns > self.patience_ns:
+            self.vx = self.vy = 0.0
+
+
+class Wrist(Guided, Mass):
+    """A robot with z and yaw, too."""
+
+    def stop_axes(self):
+        for axis in self.axes:
+            axis.speed_m_s = 0.0
+
+    def activate(self):
+        super().activate()
+        self.stop_axes()
+
+    def deactivate(self):
+        super().deactivate()
+        self.release_axes()
+        self.stop_axes()
+
+    def advance(self, dt_ns):
+        super().advance(dt_ns)
+        if self.active:
+            self.advance_axes(dt_ns)
+
+
+class LedWrist(Wrist):
+    """It takes places."""
+
+    def __init__(self):
+        super().__init__()
+        self.facts = replace(self.facts, takes="position")
+
+    write_position = Placed.write_position
+
+    def write_more_positions(self, places, speeds):
+        if self.active:
+            for axis, place in zip(self.axes, places, strict=True):
+                axis.speed_m_s = (place * axis.lever_m - axis.place_m) * 50
+
+    def advance(self, dt_ns):
+        Placed.advance(self, dt_ns)
+        for axis in self.axes:
+            axis.place_m += axis.speed_m_s * dt_ns / 1e9
+
+
+def fault(device, check, faults=FAULTS):
+    """Add a fault to those that fail one check."""
+    return lambda breaks: faults.append((device, check, breaks))
+
+
+given = setattr
+
+
+def wait(milliseconds):
+    CLOCK.advance_ns(round(milliseconds * 1e6))
+
+
+def hasten(axis, times):
+    axis.speed_m_s *= times
+
+
+def creep(axis, way_m):
+    axis.place_m += way_m
+
+
+def told(device, name, change):
+    """Call a method with what `change` makes of its arguments."""
+    method = getattr(device, name)
+    setattr(device, name, lambda *values: method(*change(*values)))
+
+
+def read(device, change, name="read"):
+    """Let `change(number, reading)` make another reading of each."""
+    method, numbers = getattr(device, name), count(1)
+    setattr(device, name, lambda: change(next(numbers), method()))
+
+
+def read_axis(device, index, change):
+    """Change the reading of one axis; `change(number)` says what of it."""
+
+    def changed(number, axes):
+        return [axis._replace(**change(number)) if axis is axes[index] else axis for axis in axes]
+
+    read(device, changed, "read_more")
+
+
+def each_cycle(device, do):
+    """Do something before each cycle."""
+    told(device, "advance", lambda dt_ns: (do(), dt_ns)[1:])
+
+
+def after_cycle(device, do):
+    advance = device.advance
+    device.advance = lambda dt_ns: (advance(dt_ns), do())
+
+
+def stale(cycles, moves):
+    """A change of readings: once, while it moves, nothing new is measured for so many cycles."""
+    kept = []
+
+    def change(number, reading):
+        if len(kept) < cycles and moves(reading):
+            kept.append(kept[0] if kept else reading)
+            return kept[0]
+        return reading
+
+    return change
+
+
+def nothing(*_):
+    """In the place of a method."""
+
+
+@fault(Lever, "rest")
+def a_motor_is_on_without_an_order(lever):
+    def drift():
+        if lever.force == [0.0, 0.0] and lever.age_s < 0.02:
+            lever.speed[1] = max(lever.speed[1], 0.02)
+
+    each_cycle(lever, drift)
+
+
+@fault(Lever, "passivity")
+def it_brakes_with_less_than_it_is_told(lever):
+    def cut(*forces):
+        both = zip(forces, lever.speed, strict=True)
+        return [0.3 * force if force * speed < 0 else force for force, speed in both]
+
+    told(lever, "write_force", cut)
+
+
+@fault(Lever, "limits")
+def it_exerts_whatever_it_is_told(lever):
+    def write_force(x_n, y_n):
+        lever.force, lever.age_s = [x_n, y_n], 0.0
+
+    lever.write_force = write_force
+
+
+@fault(Lever, "halt")
+def no_force_comes_20_ms_late(lever):
+    last, zeros = [(0.0, 0.0)], [0]
+
+    def late(*forces):
+        zeros[0] = 0 if any(forces) else zeros[0] + 1
+        last[0] = last[0] if 0 < zeros[0] <= 20 else forces
+        return last[0]
+
+    told(lever, "write_force", late)
+
+
+@fault(Arm, "z rest")
+def a_motor_of_z_is_on_without_an_order(arm):
+    z = arm.axes[0]
+    after_cycle(
+        arm, lambda: given(z, "speed_m_s", max(z.speed_m_s, 0.006 if z.force_n == 0.0 else -9.0))
+    )
+
+
+@fault(Arm, "yaw passivity")
+def yaw_brakes_with_less_than_it_is_told(arm):
+    yaw = arm.axes[1]
+    told(
+        arm,
+        "write_more_forces",
+        lambda forces: ([forces[0], forces[1] * (0.3 if forces[1] * yaw.speed_m_s < 0 else 1.0)],),
+    )
+
+
+@fault(Arm, "z limits")
+def z_exerts_whatever_it_is_told(arm):
+    z, yaw = arm.axes
+
+    def advance_axes(dt_ns):
+        z.step(z.force_n, dt_ns)
+        yaw.step(yaw.cut_n, dt_ns)
+
+    arm.advance_axes = advance_axes
+
+
+@fault(Arm, "z halt")
+def no_force_of_z_comes_20_ms_late(arm):
+    last, zeros = [0.0], [0]
+
+    def late(forces):
+        zeros[0] = 0 if forces[0] else zeros[0] + 1
+        last[0] = last[0] if 0 < zeros[0] <= 20 else forces[0]
+        return ([last[0], forces[1]],)
+
+    told(arm, "write_more_forces", late)
+
+
+@fault(Mass, "power on", GREAT_FAULTS)
+def it_follows_though_it_is_not_active(robot):
+    def follow():
+        robot.active = True
+        robot.force = robot.force if any(robot.force) else (1.0, 0.0)
+
+    each_cycle(robot, follow)
+
+
+@fault(Mass, "passivity")
+def it_adds_to_the_motion(robot):
+    def add():
+        if robot.active:
+            robot.vx, robot.vy = robot.vx * 1.004, robot.vy * 1.004
+
+    each_cycle(robot, add)
+
+
+@fault(Mass, "emergency stop")
+def it_is_switched_off_20_ms_late(robot):
+    left, deactivate = [0], robot.deactivate
+
+    def count_down():
+        if left[0]:
+            left[0] -= 1
+            if not left[0]:
+                deactivate()
+
+    robot.deactivate = lambda: left.__setitem__(0, 20)
+    told(robot, "activate", lambda: (left.__setitem__(0, 0), ())[1])
+    each_cycle(robot, count_down)
+
+
+@fault(Mass, "stops")
+def it_goes_on_when_it_is_switched_off(robot):
+    robot.power_off = robot.deactivate
+    robot.deactivate = lambda: given(robot, "force", (0.0, 0.0))
+
+
+@fault(Mass, "missed cycles")
+def without_orders_it_accelerates(robot):
+    wrote = [True]
+
+    def accelerate():
+        if not wrote[0]:
+            robot.force = (10.0, 0.0)
+        wrote[0] = False
+
+    told(robot, "write_force", lambda *forces: (wrote.__setitem__(0, True), *forces)[1:])
+    each_cycle(robot, accelerate)
+
+
+@fault(Wrist, "z stops")
+def z_goes_on_when_it_is_switched_off(wrist):
+    z, deactivate = wrist.axes[0], wrist.deactivate
+
+    def slide():
+        speed_m_s = 0.1 * z.speed_m_s
+        deactivate()
+        z.speed_m_s = speed_m_s
+
+    wrist.deactivate = slide
+    each_cycle(
+        wrist, lambda: setattr(z, "place_m", z.place_m + z.speed_m_s * 1e-3 * (not wrist.active))
+    )
+
+
+@fault(Wrist, "z emergency stop")
+def z_is_switched_off_20_ms_late(wrist):
+    z, left, deactivate = wrist.axes[0], [0], wrist.deactivate
+
+    def late():
+        if wrist.active:
+            kept = z.force_n, z.speed_m_s
+            deactivate()
+            z.force_n, z.speed_m_s = kept
+            left[0] = 20
+
+    def count_down():
+        if left[0]:
+            left[0] -= 1
+            z.step(z.force_n, 1_000_000)
+            if not left[0]:
+                deactivate()
+
+    wrist.deactivate = late
+    after_cycle(wrist, count_down)
+
+
+@fault(Wrist, "yaw missed cycles")
+def without_orders_yaw_accelerates(wrist):
+    wrote, yaw = [True], wrist.axes[1]
+
+    def accelerate():
+        if not wrote[0]:
+            yaw.speed_m_s += 0.008 * wrist.active
+        wrote[0] = False
+
+    told(wrist, "write_more_forces", lambda forces: (wrote.__setitem__(0, True), forces)[1:])
+    each_cycle(wrist, accelerate)
+
+
+#: Faults in one line each: a class of devices, the check that fails, and what breaks one.
+SIMPLE_FAULTS = [
+    # Its facts cannot be.
+    (Lever, "facts", lambda d: given(d, "facts", replace(d.facts, half_width_m=nan))),
+    (Mass, "facts", lambda d: given(d, "facts", replace(d.facts, half_height_m=-0.1))),
+    # Its y axis has no motor; yaw or z have none.
+    (Lever, "moves", lambda d: told(d, "write_force", lambda x_n, y_n: (x_n, 0.0))),
+    (Arm, "yaw moves", lambda d: told(d, "write_more_forces", lambda one: ([one[0], 0.0],))),
+    (Wrist, "z moves", lambda d: told(d, "write_more_forces", lambda one: ([0.0, one[1]],))),
+    # It does not listen to where the middle is.
+    (Lever, "zero", lambda d: given(d, "set_zero", nothing)),
+    # It keeps its force until the next; yaw alone does.
+    (Lever, "missed cycles", lambda d: each_cycle(d, lambda: given(d, "age_s", 0.0))),
+    (
+        Arm,
+        "yaw missed cycles",
+        lambda d: given(d, "release_axes", lambda: given(d.axes[0], "force_n", 0.0)),
+    ),
+    # A measurement is missing at times.
+    (
+        Lever,
+        "readings",
+        lambda d: read(d, lambda k, one: one._replace(vy_m_s=nan) if k % 100 == 0 else one),
+    ),
+    (
+        Mass,
+        "readings",
+        lambda d: read(d, lambda k, one: one._replace(y_m=nan) if k % 100 == 0 else one),
+    ),
+    (
+        Arm,
+        "z readings",
+        lambda d: read_axis(d, 0, lambda k: {"place": nan} if k % 100 == 0 else {}),
+    ),
+    (
+        Wrist,
+        "yaw readings",
+        lambda d: read_axis(d, 1, lambda k: {"speed": nan} if k % 100 == 0 else {}),
+    ),
+    # While it moves, it once measures nothing new for a while.
+    (Lever, "readings", lambda d: read(d, stale(25, lambda one: one.vx_m_s > 0.01))),
+    (Mass, "readings", lambda d: read(d, stale(22, lambda one: one.vx_m_s > 0.005))),
+    (
+        Wrist,
+        "z readings",
+        lambda d: read(d, stale(25, lambda both: both[0].speed > 0.01), "read_more"),
+    ),
+    # Its plug is loose; its encoder jumps by a centimetre.
+    (
+        Lever,
+        "readings",
+        lambda d: read(d, lambda k, one: one._replace(present=k != 500 and one.present)),
+    ),
+    (
+        Lever,
+        "readings",
+        lambda d: read(d, lambda k, one: one._replace(y_m=one.y_m + 0.01 * (k == 1900))),
+    ),
+    # An axis says once that it is beyond its speed or its range.
+    (Arm, "yaw readings", lambda d: read_axis(d, 1, lambda k: {"speed": 7.0} if k == 3200 else {})),
+    (Wrist, "z readings", lambda d: read_axis(d, 0, lambda k: {"place": 0.2} if k == 700 else {})),
+    # The dead-man button is pressed always, or for a moment.
+    (Lever, "dead-man button", lambda d: read(d, lambda _, one: one._replace(dead_man=True))),
+    (Lever, "dead-man button", lambda d: read(d, lambda k, one: one._replace(dead_man=k == 700))),
+    # A reading takes 0.7 ms; it waits for its brakes.
+    (Lever, "cycle time", lambda d: read(d, lambda _, one: (wait(0.7), one)[1])),
+    (Mass, "cycle time", lambda d: read(d, lambda _, one: (wait(0.7), one)[1])),
+    (Mass, "emergency stop", lambda d: told(d, "deactivate", lambda: wait(30) or ())),
+    # Closed, it is still there, keeps its force, or raises.
+    (Lever, "unplugged", lambda d: given(d, "close", lambda: given(d, "force", [0.0, 0.0]))),
+    (Lever, "unplugged", lambda d: given(d, "close", lambda: given(d, "present", False))),
+    (Lever, "unplugged", lambda d: given(d, "close", lambda: given(d, "read", lambda: 1 // 0))),
+    # It does not stop by itself; without power it goes on.
+    (Alone, "silence", lambda d: given(d, "patience_ns", 10**12)),
+    (Mass, "power off", lambda d: given(d, "power_off", nothing)),
+    # A wrong sign adds to the motion of z.
+    (Wrist, "z passivity", lambda d: each_cycle(d, lambda: hasten(d.axes[0], 1.004))),
+]
+#: It does not move; its axes are exchanged; its driver has a fault; yaw turns though not active.
+GREAT_FAULTS += [
+    (Mass, "moves", lambda d: given(d, "write_force", nothing)),
+    (Mass, "moves", lambda d: told(d, "write_force", lambda x_n, y_n: (y_n, x_n))),
+    (Mass, "moves", lambda d: given(d, "write_force", lambda x_n, y_n: 1 // 0)),
+    (
+        Wrist,
+        "yaw power on",
+        lambda d: each_cycle(d, lambda: creep(d.axes[1], 1e-5 * (not d.active))),
+    ),
+]
+
+
+def checked(device):
+    check = RobotCheck if isinstance(device, Mass) else JoystickCheck
+    return list(check(device, CLOCK).run())
+
+
+def failed(device):
+    return {one.name for one in checked(device) if one.failed}
+
+
+def simulated():
+    return SimulatedDevice(axes=("z", "roll", "gripper"))
+
+
+@pytest.mark.parametrize(
+    ("device", "checks"),
+    [
+        *((SimulatedDevice, 12), (simulated, 33), (Lever, 12), (Arm, 26)),
+        *((Mass, 11), (Placed, 11), (Alone, 11), (Wrist, 27), (LedWrist, 27)),
+    ],
+)
+def test_a_sound_device_passes(device, checks):
+    results = checked(device())
+    assert [one.name for one in results if one.failed] == [], results
+    assert len(results) == checks
+
+
+@pytest.mark.parametrize(("device", "check", "breaks"), [*FAULTS, *SIMPLE_FAULTS])
+def test_each_fault_fails_its_check_alone(device, check, breaks):
+    broken = device()
+    breaks(broken)
+    assert failed(broken) == {check}
+
+
+@pytest.mark.parametrize(("device", "check", "breaks"), GREAT_FAULTS)
+def test_a_fault_of_much_fails_its_check(device, check, breaks):
+    broken = device()
+    breaks(broken)
+    assert check in failed(broken)
+
+
+def test_axes_that_are_not_described_are_said():
+    shapeless = Wrist()
+    shapeless.facts = replace(shapeless.facts, more=("z",))
+    assert "more is ('z',): give AxisFacts" in checked(shapeless)[0].trouble
+
+
+def test_without_motors_only_the_sensors_are_checked():
+    stick = Lever()
+    stick.facts = replace(stick.facts, force_limit_n=0.0)
+    results = checked(stick)
+    assert [one.name for one in results if one.failed] == []
+    assert {one.name for one in results if one.skipped} >= {"moves", "halt", "missed cycles"}
+
+
+def test_the_command_checks_the_axes_of_a_setup(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.toml").write_text(
+        'cameras = ["static"]\naxes = 3\n[uplink_video]\ncap_kbps = 90\n'
+        "[uplink]\nframe_octets = 48\n"
+    )
+    monkeypatch.syspath_prepend(SAMPLES)
+    monkeypatch.setattr("pipelines.commands.joystick.MonotonicClock", lambda: CLOCK)
+    assert main(["joystick", "check", "sim", "--setup", "arm.toml"]) == 0
+    assert "z halt" in capsys.readouterr().out
+    assert main(["robot", "check", "own_robot:Mass", "--setup", "arm.toml"]) == 2
+    assert "but the setup has x, y, z" in capsys.readouterr().err
+
+
+def test_the_command_says_what_is_wrong_and_ends_with_1(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken_stick.py").write_text(
+        "from telepresence import JoystickReading, JoystickFacts\n"
+        "class Stick:\n"
+        "    facts = JoystickFacts(name='a stick', half_width_m=-1, half_height_m=0.1)\n"
+        "    def read(self): return JoystickReading(0.0, 0.0, 0.0, 0.0, dead_man=False)\n"
+        "    def __getattr__(self, name): return lambda *values: None\n"
+    )
+    assert main(["joystick", "check", "broken_stick:Stick"]) == 1
+    out = capsys.readouterr().out
+    assert "facts: half_width_m is -1: give a number above 0" in out
+    assert "moves: it has no motors" in out
