@@ -5,17 +5,7 @@ The faults that a network makes of a controller's own datagrams end in silence o
 
 from hypothesis import given
 from hypothesis import strategies as st
-from udp_controller import MemoryLine, PythonController
-
-from telepresence.haptics.udp_protocol import UdpRole
-
-KEY = bytes(range(32))
-
-
-def connected():
-    line = MemoryLine(UdpRole.ROBOT, PythonController(KEY), key=KEY)
-    line.connect()
-    return line
+from udp_controller import connected
 
 
 def refused(report):
