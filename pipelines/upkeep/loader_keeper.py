@@ -158,7 +158,8 @@ def serve_ftp(
     try:
         say(f"ftp://{USER}:{password}@{host}:{port}/")
         while not stopped():
-            server.serve_forever(timeout=_POLL_S, blocking=False, handle_exit=False)
+            # `serve_forever` would say each time that it starts.
+            server.ioloop.loop(_POLL_S, blocking=False)
     finally:
         server.close_all()
 
