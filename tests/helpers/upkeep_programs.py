@@ -37,8 +37,9 @@ def command(*words):
 
 
 @contextmanager
-def running(*words, stdout=subprocess.DEVNULL):
-    process = subprocess.Popen([*COMMAND, *map(str, words)], stdout=stdout)
+def running(*words, stdout=subprocess.DEVNULL, stderr=None):
+    command = [*COMMAND, *map(str, words)]
+    process = subprocess.Popen(command, stdout=stdout, stderr=stderr)
     try:
         yield process
     finally:

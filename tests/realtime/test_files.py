@@ -4,65 +4,87 @@ import os
 import signal
 from random import Random
 
+import pytest
 from file_transfer import Transfer
 from running_session import RunningSession, assert_sound, eventually
 
 from kontur_av.clock import NS_PER_S
 
-DOWN = Random(1).randbytes(90_000)
+DOWN = Random(1).randbytes(60_000)
 UP = Random(2).randbytes(1_500)
 
 
-def test_files_go_both_ways_across_a_loss_of_signal_beside_the_media(tmp_path):
-    directory = tmp_path / "files"
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    top = tmp_path_factory.mktemp("files")
     for end, name, octets in (("space", "down.bin", DOWN), ("ground", "up.bin", UP)):
-        (directory / end).mkdir(parents=True)
-        (directory / end / name).write_bytes(octets)
-    options = ("--files", str(directory), "--files-rate", "8,300", "--trainer")
-    with RunningSession("spacejustin", *options, directory=tmp_path) as session:
-        pids = session.pids()
-        session.wait_for_flow()
-        down = Transfer(session, "put", "down.bin", "kept/down.bin", "--from", "space")
-        up = Transfer(session, "put", "up.bin")
-        down.until("running")
-        assert session.ask("trainer", "los", "2").returncode == 0
-        down.until("suspended")
-        assert (down.end(), up.end()) == (0, 0), (down.said(), up.said())
-        assert (directory / "ground" / "kept" / "down.bin").read_bytes() == DOWN
-        assert (directory / "space" / "up.bin").read_bytes() == UP
+        (top / "files" / end).mkdir(parents=True)
+        (top / "files" / end / name).write_bytes(octets)
+    options = ("--files", str(top / "files"), "--files-rate", "8,300", "--trainer")
+    with RunningSession("taskboard", *options, directory=top) as one:
+        one.wait_for_flow()
+        yield one
 
-        # Ctrl-C gives a transfer up, and leaves nothing at the other end.
+
+@pytest.fixture
+def ends(session):
+    return session.directory / "files" / "ground", session.directory / "files" / "space"
+
+
+def test_files_go_both_ways_across_a_loss_of_signal(session, ends):
+    ground, space = ends
+    down = Transfer(session, "put", "down.bin", "kept/down.bin", "--from", "space")
+    up = Transfer(session, "put", "up.bin")
+    down.until("running")
+    assert session.ask("trainer", "los", "2").returncode == 0
+    down.until("suspended")
+    assert (down.end(), up.end()) == (0, 0), (down.said(), up.said())
+    assert (ground / "kept" / "down.bin").read_bytes() == DOWN
+    assert (space / "up.bin").read_bytes() == UP
+
+
+def test_a_transfer_is_cancelled_by_ctrl_c_or_by_its_number(session, ends):
+    for number, ended in enumerate((130, 1)):
         cut = Transfer(session, "put", "down.bin", "cut.bin", "--from", "space")
         cut.until("running")
-        listed = session.ask("file", "status", "--from", "space").stdout
-        assert listed.splitlines()[1].split()[1:3] == ["put", "running"]
-        cut.interrupt()
-        assert cut.end() == 130
-        listed = session.ask("file", "status", "--from", "space").stdout
-        assert listed == "nothing is under way\n"
+        (line,) = session.ask("file", "status", "--from", "space").stdout.splitlines()[1:]
+        assert line.split()[1:3] == ["put", "running"]
+        if number == 0:
+            cut.interrupt()
+        else:
+            asked = session.ask("file", "cancel", line.split()[0], "--from", "space")
+            assert asked.returncode == 0, asked.stderr
+        assert cut.end() == ended, cut.said()
+        assert session.ask("file", "status", "--from", "space").stdout == "nothing is under way\n"
+        # Nothing is left at the other end.
+        assert not (ends[0] / "cut.bin").exists()
+    assert session.ask("file", "cancel", "99").returncode == 2
 
-        # The receiver is killed: the sender gives it the file again.
-        down = Transfer(session, "get", "down.bin", "again.bin")
-        down.until("running")
-        os.kill(pids["files_ground"], signal.SIGKILL)
-        # Who asked it for the file hears nothing more.
-        assert down.end() != 0
-        again = directory / "ground" / "again.bin"
-        eventually(again.exists, "the second way of the file")
-        assert again.read_bytes() == DOWN
 
-        listed = session.ask("file", "list", "--from", "space")
-        assert [line.split()[-1] for line in listed.stdout.splitlines()] == [
-            "again.bin",
-            "kept/",
-            "up.bin",
-        ]
-        assert session.ask("file", "rename", "up.bin", "new.bin").returncode == 0
-        assert session.ask("file", "remove", "none").returncode == 1
-        assert session.ask("file", "get", "../x").returncode == 2
-        assert (directory / "space" / "new.bin").read_bytes() == UP
-        assert not (directory / "ground" / "cut.bin").exists()
-        code, report = session.interrupt()
+def test_the_other_ends_directory_is_listed_renamed_and_removed_in(session, ends):
+    space = ends[1]
+    (space / "old.bin").write_bytes(UP)
+    listed = session.ask("file", "list")
+    assert {"down.bin", "old.bin"} <= {line.split()[-1] for line in listed.stdout.splitlines()}
+    assert session.ask("file", "rename", "old.bin", "new.bin").returncode == 0
+    assert (space / "new.bin").read_bytes() == UP
+    assert session.ask("file", "remove", "new.bin").returncode == 0
+    assert not (space / "new.bin").exists() and not (space / "old.bin").exists()
+    assert session.ask("file", "remove", "none").returncode == 1
+    assert session.ask("file", "get", "../x").returncode == 2
+
+
+def test_a_killed_receiver_gets_the_file_again_and_media_waited_for_no_file(session, ends):
+    down = Transfer(session, "get", "down.bin", "again.bin")
+    down.until("running")
+    os.kill(session.pids()["files_ground"], signal.SIGKILL)
+    # Who asked it for the file hears nothing more.
+    assert down.end() != 0
+    again = ends[0] / "again.bin"
+    eventually(again.exists, "the second way of the file")
+    assert again.read_bytes() == DOWN
+    session.wait_for_flow()
+    code, report = session.interrupt()
     assert code == 0
     assert_sound(report)
     for link in report["link"].values():

@@ -21,8 +21,6 @@ from pipelines.session.setup.table import PORTS
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 
-pytestmark = pytest.mark.realtime
-
 SPACEJUSTIN = BUILT_IN["spacejustin"]
 FLOWS = [row.flow for row in topology_of(SPACEJUSTIN).streams if row.flow is not None]
 
@@ -82,15 +80,11 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
         program(session.exit_port("uplink_haptic")),
         program(session.exit_port("downlink_haptic")),
     )
-    until_through(
-        robot, ("127.0.0.1", session.entry_port("uplink_haptic")), joystick, b"force sample"
-    )
-    until_through(
-        joystick,
-        ("127.0.0.1", session.entry_port("downlink_haptic")),
-        robot,
-        b"hand command",
-    )
+    for sender, entry, receiver in (
+        (robot, "uplink_haptic", joystick),
+        (joystick, "downlink_haptic", robot),
+    ):
+        until_through(sender, ("127.0.0.1", session.entry_port(entry)), receiver, b"twelve or so")
 
     children = link.children()
     assert len(children) == 2

@@ -2,24 +2,27 @@
 
 import ftplib
 import json
+import subprocess
 import sys
-import threading
 from io import BytesIO
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from common import eventually
 from running_link import RunningLink, free_base_port, listening
-from upkeep_programs import command, make, running, until
+from running_session import tcp_port
+from upkeep_programs import COMMAND, command, make, running
 
 from pipelines.link.key_files import make_key
 from pipelines.upkeep.desk import DiskStore
-from pipelines.upkeep.loader_keeper import serve_ftp
+from telepresence.upkeep.app_loader import Copy, note_worked
 from telepresence.upkeep.manifest import fault_of
 
-pytestmark = pytest.mark.realtime
-
 REFUSED = '{"contact": true, "passed": false, "stuck": true}'
+#: It has contact, but nothing tells whether data passes.
+UNSURE = '{"contact": false, "passed": false, "stuck": false}'
+FAILS = "#!/bin/sh\necho {name} >> $TRACE\nexit 1\n"
 
 
 @pytest.fixture
@@ -31,54 +34,94 @@ def trace(tmp_path, monkeypatch):
     return lambda: path.read_text().split()
 
 
-def test_versions_that_fail_are_replaced_by_the_last_that_worked(tmp_path, trace):
-    key, top = tmp_path / "key.pem", tmp_path / "versions"
-    make_key(key)
-    folders = [
-        make(tmp_path, "elementary"),
-        make(tmp_path, "v1"),
-        make(tmp_path, "deaf", REFUSED),
-        make(tmp_path, "broken", text="#!/bin/sh\necho {name} >> $TRACE\nexit 1\n"),
-    ]
-    for folder in folders:
-        command("versions", "sign", folder, "--key", key)
-        command("versions", "add", top, folder, "--key", key)
+class Versions:
+    """A directory of signed versions, by the commands."""
 
-    def states():
-        lines = command("versions", "list", top).splitlines()
+    def __init__(self, tmp_path):
+        self.key, self.top = tmp_path / "key.pem", tmp_path / "versions"
+        make_key(self.key)
+
+    def add(self, folder, *name):
+        command("versions", "sign", folder, "--key", self.key, *name)
+        command("versions", "add", self.top, folder, "--key", self.key, *name)
+
+    def do(self, action, name):
+        command("versions", action, self.top, name)
+
+    def states(self):
+        lines = command("versions", "list", self.top).splitlines()
         return {line.split()[0]: " ".join(line.split()[1:]) for line in lines}
 
-    with running("versions", "run", top, "--key", key, "--probation", 1):
-        until(lambda: trace() == ["elementary"])
-        command("versions", "start", top, "v1")
-        until(lambda: states()["v1"] == "executable runs")
-        command("versions", "start", top, "deaf")
-        until(lambda: states()["v1"] == "executable runs")
-        assert states()["deaf"] == "defective set aside" or states()["deaf"] == "defective"
-        command("versions", "start", top, "broken")
-        until(lambda: states()["v1"] == "executable runs")
-        assert states()["broken"].startswith("defective")
+    def running(self, *options):
+        return running("versions", "run", self.top, "--key", self.key, *options)
+
+
+@pytest.fixture
+def versions(tmp_path):
+    return Versions(tmp_path)
+
+
+def test_versions_that_fail_are_replaced_by_the_last_that_worked(tmp_path, trace, versions):
+    versions.add(make(tmp_path, "elementary"))
+    versions.add(make(tmp_path, "v1"))
+    versions.add(make(tmp_path, "deaf", REFUSED))
+    versions.add(make(tmp_path, "broken", text=FAILS))
+    with versions.running("--probation", 1):
+        eventually(lambda: trace() == ["elementary"])
+        versions.do("start", "v1")
+        for name in ("deaf", "broken"):
+            eventually(lambda: versions.states()["v1"] == "executable runs")
+            versions.do("start", name)
+            eventually(lambda one=name: versions.states()[one].startswith("defective"))
+        eventually(lambda: versions.states()["v1"] == "executable runs")
     assert trace() == ["elementary", "v1", "deaf", "v1", "broken", "broken", "broken", "v1"]
     # After a restart the one that worked starts again; one that is damaged does not.
-    (top / "v1" / "run").write_text("#!/bin/sh\n")
-    with running("versions", "run", top, "--key", key):
-        until(lambda: trace()[-1] == "elementary")
-    assert states()["v1"] == "defective set aside"
+    (versions.top / "v1" / "run").write_text("#!/bin/sh\n")
+    with versions.running():
+        eventually(lambda: trace()[-1] == "elementary")
+    assert versions.states()["v1"] == "defective set aside"
 
 
-def test_a_program_ends_with_a_killed_keeper_and_the_next_keeper_starts_it(tmp_path, trace):
-    key, top = tmp_path / "key.pem", tmp_path / "versions"
-    make_key(key)
-    folder = make(tmp_path, "elementary")
-    command("versions", "sign", folder, "--key", key)
-    command("versions", "add", top, folder, "--key", key)
-    with running("versions", "run", top, "--key", key) as keeper:
-        until(lambda: trace() == ["elementary"] and (top / ".status").exists())
+def test_a_person_confirms_the_version_that_runs_and_removes_another(tmp_path, trace, versions):
+    versions.add(make(tmp_path, "first"), "--name", "elementary")
+    versions.add(make(tmp_path, "v1", UNSURE))
+    versions.add(make(tmp_path, "v2", UNSURE))
+    with versions.running():
+        # An order while it starts would be done without it, and keep it out.
+        eventually(lambda: trace() == ["first"])
+        versions.do("start", "v1")
+        eventually(lambda: trace()[-1] == "v1")
+        assert versions.states()["v1"] == "new runs"
+        versions.do("confirm", "v1")
+        eventually(lambda: versions.states()["v1"] == "executable runs")
+        versions.do("remove", "v2")
+        eventually(lambda: "v2" not in versions.states())
+        assert not (versions.top / "v2" / "run").exists()
+    # Without a keeper that runs, too; what must stay is refused.
+    for action, name, said in (
+        ("confirm", "elementary", "does not run: v1 does"),
+        ("remove", "v1", "version v1 stays"),
+        ("remove", "v2", "there is no version v2"),
+    ):
+        words = [*COMMAND, "versions", action, versions.top, name]
+        done = subprocess.run(words, capture_output=True, text=True)
+        assert done.returncode == 2 and said in done.stderr, (action, name)
+    versions.do("start", "elementary")
+    versions.do("remove", "v1")
+    assert {*versions.states()} == {"elementary"}
+
+
+def test_a_program_ends_with_a_killed_keeper_and_the_next_keeper_starts_it(
+    tmp_path, trace, versions
+):
+    versions.add(make(tmp_path, "elementary"))
+    with versions.running() as keeper:
+        eventually(lambda: trace() == ["elementary"] and (versions.top / ".status").exists())
         program = Path("/proc") / (tmp_path / "trace.pid").read_text().strip()
         keeper.kill()
-        until(lambda: not program.exists())
-    with running("versions", "run", top, "--key", key):
-        until(lambda: trace() == ["elementary", "elementary"])
+        eventually(lambda: not program.exists())
+    with versions.running():
+        eventually(lambda: trace() == ["elementary", "elementary"])
 
 
 #: A gateway whose supervision says that it has another version of the link.
@@ -92,47 +135,34 @@ raise SystemExit(main(["link", "-q", "--setup", "spacejustin", "--insecure", *{o
 """
 
 
-def test_a_gateway_that_the_peer_refuses_is_replaced_and_data_passes_again(tmp_path, trace):
-    key, top = tmp_path / "key.pem", tmp_path / "versions"
-    make_key(key)
+def test_a_gateway_that_the_peer_refuses_is_replaced_and_data_passes_again(
+    tmp_path, trace, versions
+):
     listen = f"127.0.0.1:{free_base_port()}"
-    with RunningLink(
-        "--setup",
-        "spacejustin",
-        "--end",
-        "ground",
-        "--insecure",
-        "--listen",
-        listen,
-        directory=tmp_path,
-    ) as ground:
+    words = ("--setup", "spacejustin", "--end", "ground", "--insecure", "--listen", listen)
+    with RunningLink(*words, directory=tmp_path) as ground:
         base = free_base_port()
         options = json.dumps(["--end", "space", "--peer", listen, "--base-port", str(base)])
         program = GATEWAY.format(python=sys.executable, options=options)
         for name, version in (("elementary", 3), ("v1", 3), ("v2", 4)):
-            folder = make(tmp_path, name, version, program)
-            command("versions", "sign", folder, "--key", key)
-            command("versions", "add", top, folder, "--key", key)
-        command("versions", "start", top, "v1")
+            versions.add(make(tmp_path, name, version, program))
+        versions.do("start", "v1")
         entries = [
             ground.topology.entry_port("uplink_maintenance"),
             base + ground.topology.entry_port("downlink_maintenance") - ground.base_port,
         ]
 
-        def listed(line):
+        def is_in(state, name):
             with listening(0) as anyone:
                 for port in entries:
                     anyone.sendto(b"both ways", ("127.0.0.1", port))
-            return line in [" ".join(one.split()) for one in listing()]
+            return versions.states()[name] == state
 
-        def listing():
-            return command("versions", "list", top).splitlines()
-
-        with running("versions", "run", top, "--key", key, "--probation", 6):
-            until(lambda: listed("v1 executable runs"))
-            command("versions", "start", top, "v2")
-            until(lambda: listed("v2 defective"))
-            until(lambda: listed("v1 executable runs"))
+        with versions.running("--probation", 6):
+            eventually(lambda: is_in("executable runs", "v1"))
+            versions.do("start", "v2")
+            eventually(lambda: is_in("defective", "v2"))
+            eventually(lambda: is_in("executable runs", "v1"))
             assert trace() == ["v1", "v2", "v1"]
 
 
@@ -141,47 +171,50 @@ def test_a_broken_update_of_the_joystick_falls_back_and_a_good_one_is_copied(tmp
     first = make(tmp_path, "first")
     for copy in ("sd/1", "sd/2", "flash"):
         command("apploader", "fill", top, copy, first)
-    broken = make(tmp_path, "broken", text="#!/bin/sh\necho {name} >> $TRACE\nexit 1\n")
-    command("apploader", "update", top, broken)
+    command("apploader", "update", top, make(tmp_path, "broken", text=FAILS))
 
     def told():
         return json.loads((top / "housekeeping.json").read_text())
 
     with running("apploader", "run", top) as loader:
-        until(lambda: trace() == ["broken", "first"])
-        until(lambda: told()["copy"] == "sd/2" and told()["step"] == "running")
-        until(lambda: told()["flash"]["files_checked"] >= 1)
+        eventually(lambda: trace() == ["broken", "first"])
+        eventually(lambda: told()["copy"] == "sd/2" and told()["step"] == "running")
+        eventually(lambda: told()["flash"]["files_checked"] >= 1)
         assert list(told()["erroneous"]) == ["sd/1"]
         assert told()["flash"]["sound"]
         command("apploader", "shutdown", top)
-        assert loader.wait(30) == 0
+        assert loader.wait(90) == 0
     assert "desired mode  backup" in command("apploader", "list", top)
+    command("apploader", "update", top, make(tmp_path, "good"))
+    # As after its first minute without a malfunction.
+    note_worked(DiskStore(top), Copy.SD_1)
+    command("apploader", "copy", top)
+    assert "echo good" in (top / "sd/2/run").read_text()
 
 
 @pytest.fixture
 def ftp(tmp_path):
     """The URL of a server with two copies, whose programs are called ftp1 and ftp2."""
-    pytest.importorskip("pyftpdlib")
+    pytest.importorskip("pyftpdlib", reason="pyftpdlib: pip install 'kontur-av[upkeep]'")
     top = tmp_path / "server"
     for copy in ("ftp/1", "ftp/2"):
         command("apploader", "fill", top, copy, make(tmp_path, copy.replace("/", "")))
-    lines, stop = [], threading.Event()
-    server = threading.Thread(
-        target=serve_ftp, args=(top / "ftp", ("127.0.0.1", 0), lines.append, stop.is_set)
-    )
-    server.start()
-    try:
-        until(lambda: lines)
-        yield lines[0]
-    finally:
-        stop.set()
-        server.join(30)
+    address = f"127.0.0.1:{tcp_port()}"
+    words = ("apploader", "serve", top, "--storage", "ftp", "--listen", address)
+    said = tmp_path / "said.txt"
+    with (
+        said.open("w") as log,
+        running(*words, stdout=subprocess.PIPE, stderr=log) as server,
+    ):
+        yield server.stdout.readline().decode().split()[-1]
+    # What its library says of each look at its sockets is left out.
+    assert "starting" not in said.read_text()
 
 
-def test_ftp_serves_both_copies(tmp_path, ftp):
+def test_ftp_serves_both_copies_and_an_upload_needs_its_list_of_checksums(tmp_path, ftp):
     url, copies = urlsplit(ftp), tmp_path / "server" / "ftp"
     with ftplib.FTP() as client:
-        client.connect(url.hostname, url.port, 10)
+        client.connect(url.hostname, url.port, 90)
         client.login(url.username, url.password)
         assert sorted(client.nlst()) == ["1", "2"]
         got = []
@@ -192,8 +225,9 @@ def test_ftp_serves_both_copies(tmp_path, ftp):
         client.quit()
     store = DiskStore(copies)
     assert fault_of(store, "2") is None
-    # An upload without its list of checksums leaves a copy that is not used.
     assert fault_of(store, "1") == "its file run is damaged"
+    command("apploader", "sfv", copies / "1")
+    assert fault_of(store, "1") is None
 
 
 def test_from_flash_the_copies_of_an_ftp_server_run_and_without_one_that_of_the_flash(
@@ -201,12 +235,13 @@ def test_from_flash_the_copies_of_an_ftp_server_run_and_without_one_that_of_the_
 ):
     top, copies = tmp_path / "storages", tmp_path / "server" / "ftp"
     command("apploader", "fill", top, "flash", make(tmp_path, "last"))
-    with running("apploader", "run", top, "--boot", "flash", "--ftp", ftp):
-        until(lambda: trace() == ["ftp1"])
+    words = ("apploader", "run", top, "--boot", "flash", "--ftp")
+    with running(*words, ftp):
+        eventually(lambda: trace() == ["ftp1"])
     # What is damaged there is not used.
     (copies / "1" / "run").write_text("#!/bin/sh\n")
     (top / "ftp" / "1" / "run").write_text("#!/bin/sh\n")
-    with running("apploader", "run", top, "--boot", "flash", "--ftp", ftp):
-        until(lambda: trace() == ["ftp1", "ftp2"])
-    with running("apploader", "run", top, "--boot", "flash", "--ftp", "ftp://127.0.0.1:9/"):
-        until(lambda: trace() == ["ftp1", "ftp2", "last"])
+    with running(*words, ftp):
+        eventually(lambda: trace() == ["ftp1", "ftp2"])
+    with running(*words, "ftp://127.0.0.1:9/"):
+        eventually(lambda: trace() == ["ftp1", "ftp2", "last"])
