@@ -25,15 +25,7 @@ from kontur_av.sources.file import FileAudio, FileVideo
 from kontur_av.sources.y4m import Y4mReader
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
-from pipelines.partner.description import (
-    Transport,
-    clean_candidates,
-    read_candidates,
-    read_description,
-    wanted_line,
-    write_candidates,
-    write_description,
-)
+from pipelines.partner import description
 from pipelines.partner.ice_servers import servers_of_links
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.setup_text import setup_toml
@@ -133,29 +125,29 @@ def sdp():
 
 
 def whip():
-    transport = Transport(
+    transport = description.Transport(
         ufrag="user", password="password" * 3, fingerprints=(("sha-256", "AB:" * 31 + "AB"),)
     )
     lines = [
-        wanted_line(kind, mid=kind, ssrc=number, sends=True, receives=True)
+        description.wanted_line(kind, mid=kind, ssrc=number, sends=True, receives=True)
         for kind, number in (("audio", 1), ("video", 2))
     ]
     offers = [
-        write_description(some, transport, session=1, cname="c", stream="s").encode()
+        description.write_description(some, transport, session=1, cname="c", stream="s").encode()
         for some in (lines, lines[:1], lines[1:])
     ]
-    fragment = write_candidates(transport, mid="0").encode()
+    fragment = description.write_candidates(transport, mid="0").encode()
     link = b'<turn:h:3478?transport=udp>; rel="ice-server"; username="u"; credential="c"'
 
     def parse(octets):
         text = text_of(octets)
         if text.startswith("v="):
-            read_description(text, answers=False, ssrcs={"audio": 1, "video": 2})
+            description.read_description(text, answers=False, ssrcs={"audio": 1, "video": 2})
         elif text.startswith("<"):
             servers_of_links([text])
         else:
-            read_candidates(text)
-        clean_candidates(text)
+            description.read_candidates(text)
+        description.clean_candidates(text)
 
     return Parsing(parse, [*offers, fragment, fragment, link], ProtocolError)
 

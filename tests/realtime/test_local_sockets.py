@@ -9,18 +9,7 @@ import msgspec
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.session.datagrams import (
-    Inlet,
-    OwnOutlet,
-    is_loopback,
-    listen_alone,
-    listen_own,
-    listen_to,
-    open_peer,
-    outlet,
-    reaches,
-    receive,
-)
+from pipelines.session import datagrams
 from pipelines.session.sessions import hold_session
 from pipelines.session.terminals import ask_desk, desk_path, running_sessions
 
@@ -51,7 +40,7 @@ def here(sockets):
 
 def test_strangers_are_counted_and_displace_no_frame_of_the_peer(sockets, here):
     peer, stranger, neighbour = sockets(), sockets(), sockets("127.0.0.2")
-    ours, strangers = open_peer(here, peer.getsockname())
+    ours, strangers = datagrams.open_peer(here, peer.getsockname())
     with closing(ours), closing(strangers):
         for number in range(5000):
             stranger.sendto(bytes(500), here)
@@ -59,9 +48,9 @@ def test_strangers_are_counted_and_displace_no_frame_of_the_peer(sockets, here):
                 peer.sendto(b"frame %d" % (number // 100), here)
         neighbour.sendto(b"x", here)
         # Datagrams of strangers fill no queue of the peer.
-        frames = [receive(ours, 100) for _ in range(51)]
+        frames = [datagrams.receive(ours, 100) for _ in range(51)]
         assert frames == [b"frame %d" % number for number in range(50)] + [None]
-        assert receive(strangers, 1) == b"\0"
+        assert datagrams.receive(strangers, 1) == b"\0"
         ours.send(b"answer")
         assert peer.recvfrom(100) == (b"answer", here)
         with pytest.raises(OSError):
@@ -70,11 +59,11 @@ def test_strangers_are_counted_and_displace_no_frame_of_the_peer(sockets, here):
 
 def test_a_port_for_one_sender_takes_nobody_elses_datagrams(sockets, here):
     sender, stranger = sockets("127.0.0.2"), sockets()
-    with listen_to(here, sender.getsockname()) as udp:
+    with datagrams.listen_to(here, sender.getsockname()) as udp:
         for _ in range(1000):
             stranger.sendto(bytes(500), here)
         sender.sendto(b"ours", here)
-        assert [receive(udp, 10), receive(udp, 10)] == [b"ours", None]
+        assert [datagrams.receive(udp, 10), datagrams.receive(udp, 10)] == [b"ours", None]
 
 
 def test_a_port_accepts_only_the_host_of_the_programs(sockets):
@@ -83,18 +72,22 @@ def test_a_port_accepts_only_the_host_of_the_programs(sockets):
         ("127.0.0.3", [None, b"a pro", b"", None], 1),
         ("127.0.0.1", [b"a str", b"a pro", b"", None], 0),
     ):
-        inlet = Inlet(("127.0.0.1", 0), host)
+        inlet = datagrams.Inlet(("127.0.0.1", 0), host)
         with closing(inlet.udp):
             for address, data in (("4", b"a stranger"), ("3", b"a program"), ("3", b"")):
                 sockets(f"127.0.0.{address}").sendto(data, inlet.udp.getsockname())
             assert [inlet.receive(5) for _ in range(4)] == taken
             assert inlet.strangers == refused
-    assert is_loopback("127.0.0.1") and is_loopback("127.9.9.9") and not is_loopback("128.0.0.1")
-    assert reaches(("127.0.0.5", 9)) == "127.0.0.1"
+    assert (
+        datagrams.is_loopback("127.0.0.1")
+        and datagrams.is_loopback("127.9.9.9")
+        and not datagrams.is_loopback("128.0.0.1")
+    )
+    assert datagrams.reaches(("127.0.0.5", 9)) == "127.0.0.1"
 
 
 def test_a_missing_listener_is_no_fault(sockets, here):
-    to_nobody = outlet("127.0.0.1", here)
+    to_nobody = datagrams.outlet("127.0.0.1", here)
     for _ in range(5):
         to_nobody.send(b"anybody?")
     back = sockets(*here)
@@ -114,18 +107,18 @@ def directory(monkeypatch):
 
 @pytest.mark.usefixtures("directory")
 def test_a_sessions_own_socket_belongs_to_one_process_and_samples_reach_it_in_any_life():
-    first = listen_alone("lab", 27_008)
-    assert first is not None and listen_alone("lab", 27_008) is None
+    first = datagrams.listen_alone("lab", 27_008)
+    assert first is not None and datagrams.listen_alone("lab", 27_008) is None
     first.close()
-    second = listen_alone("lab", 27_008)
+    second = datagrams.listen_alone("lab", 27_008)
     assert second is not None
     second.close()
-    to_robot = OwnOutlet("lab", 27_009)
+    to_robot = datagrams.OwnOutlet("lab", 27_009)
     to_robot.send(b"too soon")
     for life in (b"first", b"second"):
-        with listen_own("lab", 27_009) as robot:
+        with datagrams.listen_own("lab", 27_009) as robot:
             to_robot.send(life)
-            assert receive(robot) == life
+            assert datagrams.receive(robot) == life
         to_robot.send(b"nobody listens")
     assert to_robot.failed == 3
 

@@ -7,13 +7,7 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
-from pipelines.link.key_files import (
-    default_key_path,
-    make_key,
-    pinned_peer,
-    read_key,
-    trusted_identities,
-)
+from pipelines.link import key_files
 from telepresence.link.protection.identity import MachineKey
 
 OTHER, THIRD = (MachineKey.from_seed(bytes([n] * 32)).identity for n in (0, 1))
@@ -66,10 +60,10 @@ def test_from_a_new_key_to_a_trusted_peer(home, done):
 def test_each_key_file_has_its_own_trusted_identities(home, tmp_path, done):
     for name in ("ground.pem", "space.pem"):
         done("new", "--key", tmp_path / name)
-    space = read_key(tmp_path / "space.pem").identity
+    space = key_files.read_key(tmp_path / "space.pem").identity
     done("trust", space, "--key", tmp_path / "ground.pem")
-    assert pinned_peer(tmp_path / "ground.pem", None) == space
-    assert trusted_identities(tmp_path / "space.pem") == []
+    assert key_files.pinned_peer(tmp_path / "ground.pem", None) == space
+    assert key_files.trusted_identities(tmp_path / "space.pem") == []
     assert not home.exists()
 
 
@@ -89,7 +83,7 @@ def test_keys_lie_in_an_absolute_configuration_directory_or_in_the_home(
 
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("XDG_CONFIG_HOME", "here")
-    assert default_key_path() == tmp_path / ".config" / "kontur-av" / "key.pem"
+    assert key_files.default_key_path() == tmp_path / ".config" / "kontur-av" / "key.pem"
     monkeypatch.delenv("HOME")
     monkeypatch.delenv("XDG_CONFIG_HOME")
     monkeypatch.setattr("pwd.getpwuid", unknown)
@@ -99,14 +93,14 @@ def test_keys_lie_in_an_absolute_configuration_directory_or_in_the_home(
 
 def test_the_peer_is_the_only_one_that_is_trusted_or_the_one_that_is_named(home, done):
     key = home / "key.pem"
-    make_key(key)
+    key_files.make_key(key)
     with pytest.raises(ConfigError, match="trusts nobody"):
-        pinned_peer(key, None)
+        key_files.pinned_peer(key, None)
     done("trust", OTHER)
-    assert pinned_peer(key, None) == pinned_peer(key, str(OTHER)) == OTHER
+    assert key_files.pinned_peer(key, None) == key_files.pinned_peer(key, str(OTHER)) == OTHER
     with pytest.raises(ConfigError, match="is not trusted"):
-        pinned_peer(key, str(THIRD))
+        key_files.pinned_peer(key, str(THIRD))
     done("trust", THIRD)
     with pytest.raises(ConfigError, match="trusts 2 identities"):
-        pinned_peer(key, None)
-    assert pinned_peer(key, str(THIRD)) == THIRD
+        key_files.pinned_peer(key, None)
+    assert key_files.pinned_peer(key, str(THIRD)) == THIRD

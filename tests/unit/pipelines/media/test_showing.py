@@ -8,15 +8,8 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.detect import Click, Light
 from kontur_av.media import CaptureStamp, empty_picture
+from pipelines.media import showing
 from pipelines.media.process_display import _write
-from pipelines.media.showing import (
-    Recall,
-    Showing,
-    SnapshotSchedule,
-    Watching,
-    tell_click,
-    tell_light,
-)
 from pipelines.session.figures import ClickRow, LightRow
 from pipelines.session.probe import Probe
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -31,7 +24,7 @@ class Display:
     """A display on virtual time, and (instant, age in the mark) of all that it has drawn."""
 
     def __init__(self):
-        self.showing = Showing(SETUP, [VIDEO, VOICE], Probe())
+        self.showing = showing.Showing(SETUP, [VIDEO, VOICE], Probe())
         self.drawn = []
 
     def show(self, stream, capture_ms, now_ms):
@@ -93,7 +86,7 @@ START_NS = 7 * NS_PER_S // 2
 
 
 def schedule_at(session_ns):
-    return SnapshotSchedule(SPACEJUSTIN, started_ns=START_NS, now_ns=START_NS + session_ns)
+    return showing.SnapshotSchedule(SPACEJUSTIN, started_ns=START_NS, now_ns=START_NS + session_ns)
 
 
 def instants(end_s):
@@ -146,7 +139,7 @@ LATE_NS = 60 * NS_PER_MS
 @pytest.mark.rule("5")
 def test_a_light_has_the_capture_times_of_its_picture_and_of_the_one_before():
     probe = Probe()
-    watching = Watching(probe)
+    watching = showing.Watching(probe)
     for number in range(8):
         picture = empty_picture(320, 240)
         picture[:240], picture[240:] = 60, 128
@@ -163,7 +156,7 @@ def test_a_light_has_the_capture_times_of_its_picture_and_of_the_one_before():
 def test_a_click_has_the_capture_time_of_its_own_sample_also_in_a_shortened_voice(played, at_ms):
     """played: samples that are heard of each block of 960."""
     probe = Probe()
-    watching = Watching(probe)
+    watching = showing.Watching(probe)
     line = np.zeros(51 * played)
     k = np.arange(900) / 48_000
     begin = at_ms // 20 * played + round(at_ms % 20 / 1000 * 48_000 * played / 960)
@@ -181,14 +174,16 @@ def test_a_click_has_the_capture_time_of_its_own_sample_also_in_a_shortened_voic
 
 
 def test_what_is_found_is_dated_by_its_picture_or_block_or_not_reported():
-    probe, recall = Probe(), Recall(depth=2)
+    probe, recall = Probe(), showing.Recall(depth=2)
     for timestamp in (1, 2, 3):
         recall.add(timestamp, timestamp * NS_PER_MS)
-    tell_light(probe, "uplink_video", Light(9, 2, 1, 0.5, 0.5, 100.0), recall.captured_ns)
+    showing.tell_light(probe, "uplink_video", Light(9, 2, 1, 0.5, 0.5, 100.0), recall.captured_ns)
     assert not probe.series(LightRow, "uplink_video").values
-    tell_light(probe, "uplink_video", Light(9, 3, 2, 0.5, 0.5, 100.0), recall.captured_ns)
+    showing.tell_light(probe, "uplink_video", Light(9, 3, 2, 0.5, 0.5, 100.0), recall.captured_ns)
     assert list(probe.series(LightRow, "uplink_video").values) == [9, 3 * NS_PER_MS, NS_PER_MS, 100]
     # A click in a shortened block is dated by its place in the whole one.
     half = {"offset_ns": 5 * NS_PER_MS, "length_ns": 10 * NS_PER_MS}
-    tell_click(probe, "uplink_voice", Click(500, 7, strength=900.0, **half), {7: 100 * NS_PER_MS})
+    showing.tell_click(
+        probe, "uplink_voice", Click(500, 7, strength=900.0, **half), {7: 100 * NS_PER_MS}
+    )
     assert list(probe.series(ClickRow, "uplink_voice").values) == [500, 110 * NS_PER_MS, 0, 900]

@@ -3,21 +3,12 @@
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.partner.decisions import (
-    LEAST_BPS,
-    Attempts,
-    Doing,
-    Door,
-    PicturePlan,
-    RateFollower,
-    UplinkWish,
-    Wish,
-)
+from pipelines.partner import decisions
 
 
 @pytest.mark.rule("10")
 def test_only_the_token_opens_the_door_and_many_strangers_are_turned_away_unread():
-    door = Door(token="secret")
+    door = decisions.Door(token="secret")
     assert door.check("Bearer secret", 0) is None
     assert door.check("bearer  secret ", 0) is None
     wrong = (None, "", "Bearer", "Bearer secre", "Basic secret", "Bearer s\udcffcret")
@@ -30,7 +21,7 @@ def test_only_the_token_opens_the_door_and_many_strangers_are_turned_away_unread
 
 
 def test_viewers_and_offers_are_bounded():
-    door = Door(token="secret", most_viewers=2)
+    door = decisions.Door(token="secret", most_viewers=2)
     assert door.check_offer(viewers=1, now_ns=0) is None
     assert door.check_offer(viewers=2, now_ns=0).status == 503
     offers = [door.check_offer(viewers=None, now_ns=0) for _ in range(4)]
@@ -44,7 +35,7 @@ def connect(attempts, now_ns):
 
 
 def test_attempts_wait_ever_longer_until_a_connection_was_good():
-    attempts, now_ns, waits = Attempts(), 0, []
+    attempts, now_ns, waits = decisions.Attempts(), 0, []
     for _ in range(9):
         begun_ns = connect(attempts, now_ns)
         waits.append((begun_ns - now_ns) / NS_PER_S)
@@ -61,7 +52,7 @@ def test_attempts_wait_ever_longer_until_a_connection_was_good():
 
 
 def test_a_silent_partner_gets_one_restart_of_ice_and_then_a_new_connection():
-    attempts = Attempts()
+    attempts = decisions.Attempts()
     attempts.poll_connect(0)
     assert not attempts.poll_restart(silent=True, now_ns=0)
     attempts.handle_connected(0)
@@ -72,13 +63,13 @@ def test_a_silent_partner_gets_one_restart_of_ice_and_then_a_new_connection():
     ):
         assert attempts.poll_restart(silent=silent, now_ns=second * NS_PER_S) is restarted
         if not silent:
-            assert attempts.doing is Doing.CONNECTED
+            assert attempts.doing is decisions.Doing.CONNECTED
     assert not attempts.is_hopeless(16 * NS_PER_S)
     assert attempts.is_hopeless(18 * NS_PER_S)
 
 
 def test_the_rate_follows_a_wish_only_below_what_is_sent_and_grows_back():
-    rate = RateFollower(most_bps=1_500_000)
+    rate = decisions.RateFollower(most_bps=1_500_000)
     # A calm scene: the partner saw little, so its estimate is low, and limits nothing.
     assert not rate.handle_wish(300_000, 200_000, 0)
     assert rate.handle_wish(600_000, 1_400_000, NS_PER_S)
@@ -87,7 +78,7 @@ def test_the_rate_follows_a_wish_only_below_what_is_sent_and_grows_back():
     assert not rate.handle_wish(560_000, 600_000, 3 * NS_PER_S)
     assert not rate.handle_wish(300_000, 600_000, NS_PER_S + NS_PER_MS)
     assert rate.handle_wish(1, 600_000, 3 * NS_PER_S)
-    assert rate.bps == LEAST_BPS
+    assert rate.bps == decisions.LEAST_BPS
     now_ns, steps = 3 * NS_PER_S, 0
     while rate.bps < 1_500_000:
         now_ns += 500 * NS_PER_MS
@@ -98,7 +89,7 @@ def test_the_rate_follows_a_wish_only_below_what_is_sent_and_grows_back():
 
 
 def test_a_picture_is_skipped_while_the_last_ones_are_too_large():
-    plan = PicturePlan(bps=800_000)
+    plan = decisions.PicturePlan(bps=800_000)
     assert plan.handle_picture(0).keyframe
     # 250 ms at this rate.
     plan.handle_coded(25_000, 0)
@@ -112,10 +103,10 @@ def test_a_picture_is_skipped_while_the_last_ones_are_too_large():
 
 
 def test_a_unit_that_is_missing_between_the_processes_asks_for_a_key_picture():
-    plan = UplinkWish(most_bps=1_000_000)
+    plan = decisions.UplinkWish(most_bps=1_000_000)
     told = [(7, True), (8, False), (10, False), (11, False), (13, True)]
     wanted = [plan.handle_unit(number, 100, key=key, now_ns=number) for number, key in told]
     assert wanted == [False, False, True, False, False]
     plan.handle_key_wanted()
-    assert plan.wish(watched=True) == Wish(1_000_000, 2)
-    assert plan.wish(watched=False) == Wish(0, 2)
+    assert plan.wish(watched=True) == decisions.Wish(1_000_000, 2)
+    assert plan.wish(watched=False) == decisions.Wish(0, 2)

@@ -6,21 +6,10 @@ import pytest
 
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.header_extensions import ABS_SEND_TIME, MID, PLAYOUT_DELAY
-from pipelines.partner.description import (
-    MOST_SDP_OCTETS,
-    Transport,
-    clean_candidates,
-    common_line,
-    common_lines,
-    read_candidates,
-    read_description,
-    wanted_line,
-    write_candidates,
-    write_description,
-)
+from pipelines.partner import description
 
 SSRCS = {"audio": 11, "video": 22}
-LOCAL = Transport(
+LOCAL = description.Transport(
     ufrag="abcd",
     password="0123456789012345678901",
     fingerprints=(("sha-256", ":".join(["AB"] * 32)),),
@@ -89,11 +78,11 @@ a=sctp-port:5000
 
 
 def read(text=BROWSER, *, answers=False):
-    return read_description(text, answers=answers, ssrcs=SSRCS)
+    return description.read_description(text, answers=answers, ssrcs=SSRCS)
 
 
 def described(lines, **options):
-    return write_description(lines, LOCAL, session=1, cname="c", stream="s", **options)
+    return description.write_description(lines, LOCAL, session=1, cname="c", stream="s", **options)
 
 
 def first_section_with(line):
@@ -112,7 +101,7 @@ def test_a_browsers_offer_is_answered_with_what_both_can():
     assert audio.peer_ssrc == 77
     # Constrained baseline in fragments, though others stand before it.
     assert (video.payload_type, video.sends, video.receives) == (106, True, False)
-    text = described([common_line(video, sends=True, receives=True)], answers=offer)
+    text = described([description.common_line(video, sends=True, receives=True)], answers=offer)
     # The sections stay in order; those not wanted are refused by port 0.
     sections = [part.split()[0:2] for part in text.split("m=")[1:]]
     assert sections == [["audio", "0"], ["video", "9"], ["application", "0"]]
@@ -125,7 +114,7 @@ def test_a_browsers_offer_is_answered_with_what_both_can():
 
 def test_a_parameter_without_its_value_is_not_repeated_and_the_mode_of_h264_need_not_be():
     offer = read(re.sub("profile-level-id=[0-9a-f]+", "profile-level-id=", BROWSER))
-    line = common_line(offer.lines[1], sends=True, receives=True)
+    line = description.common_line(offer.lines[1], sends=True, receives=True)
     answer = described([line], answers=offer)
     assert "packetization-mode=1" in answer and "profile-level-id" not in answer
     bare = re.sub("packetization-mode=.;", "", BROWSER.replace("actpass", "active"))
@@ -135,15 +124,15 @@ def test_a_parameter_without_its_value_is_not_repeated_and_the_mode_of_h264_need
 
 def test_our_offer_comes_back_as_it_was():
     lines = [
-        wanted_line("audio", mid="0", ssrc=1, sends=True),
-        wanted_line("video", mid="1", ssrc=2, sends=True, receives=True),
+        description.wanted_line("audio", mid="0", ssrc=1, sends=True),
+        description.wanted_line("video", mid="1", ssrc=2, sends=True, receives=True),
     ]
     audio, video = read(described(lines)).lines
     assert (audio.sends, audio.receives) == (False, True)
     assert (video.sends, video.receives, video.peer_ssrc) == (True, True, 2)
     # What the partner does not take is not sent.
-    line = wanted_line("video", mid="1", ssrc=1, receives=True)
-    assert common_line(line, sends=True, receives=False) is None
+    line = description.wanted_line("video", mid="1", ssrc=1, receives=True)
+    assert description.common_line(line, sends=True, receives=False) is None
 
 
 @pytest.mark.parametrize(
@@ -166,20 +155,23 @@ def test_what_cannot_be_used_is_refused(left_out, why):
 @pytest.mark.rule("10")
 def test_an_endless_description_is_not_read():
     with pytest.raises(ProtocolError, match="octets"):
-        read("a" * (MOST_SDP_OCTETS + 1))
+        read("a" * (description.MOST_SDP_OCTETS + 1))
 
 
 def test_candidates_travel_in_fragments_and_in_the_first_section_whether_it_is_wanted_or_not():
-    assert read_candidates(write_candidates(read().transport, mid="0")).ufrag == "peer"
-    told = read_candidates(
+    assert (
+        description.read_candidates(description.write_candidates(read().transport, mid="0")).ufrag
+        == "peer"
+    )
+    told = description.read_candidates(
         "a=ice-ufrag:u\r\na=ice-pwd:p\r\nm=audio 9 RTP/AVP 0\r\na=mid:0\r\n"
         f"{candidate('192.0.2.1', 3456)}\r\na=end-of-candidates\r\n"
     )
     assert (told.ufrag, told.candidates[0].port, told.complete) == ("u", 3456, True)
     with pytest.raises(ProtocolError, match="user name"):
-        read_candidates(candidate("192.0.2.1", 3))
+        description.read_candidates(candidate("192.0.2.1", 3))
     with pytest.raises(ProtocolError, match="candidate"):
-        read_candidates("a=ice-ufrag:u\r\na=ice-pwd:p\r\na=candidate:nonsense")
+        description.read_candidates("a=ice-ufrag:u\r\na=ice-pwd:p\r\na=candidate:nonsense")
     # Cameras by Google write one without a foundation.
     for foundation in ("1", ""):
         text = first_section_with(candidate("192.0.2.1", 19305, foundation))
@@ -198,19 +190,19 @@ def test_candidates_travel_in_fragments_and_in_the_first_section_whether_it_is_w
 )
 def test_a_candidate_that_no_datagram_may_go_to_is_left_out(address, port):
     text = "\r\n".join([BROWSER.rstrip("\r\n"), candidate(address, port), ""])
-    assert clean_candidates(text) == BROWSER
+    assert description.clean_candidates(text) == BROWSER
     assert read(text).transport.candidates == ()
     fragment = f"a=ice-ufrag:a\r\na=ice-pwd:b\r\n{candidate(address, port)}\r\n"
-    assert read_candidates(fragment).candidates == ()
+    assert description.read_candidates(fragment).candidates == ()
 
 
 def test_loopback_is_for_a_partner_on_this_machine():
     local = ["127.0.0.1", "127.9.9.9", "::1", "::ffff:127.0.0.1"]
     far = ["192.0.2.1", f"{'a' * 8}-{'b' * 27}.local"]
     text = "\n".join(candidate(address, 5000) for address in (*local, *far))
-    assert clean_candidates(text) == text
+    assert description.clean_candidates(text) == text
     kept = "\n".join(candidate(address, 5000) for address in far)
-    assert clean_candidates(text, loopback=False) == kept
+    assert description.clean_candidates(text, loopback=False) == kept
 
 
 @pytest.mark.parametrize(
@@ -229,13 +221,13 @@ def test_a_line_that_is_malformed_and_not_needed_refuses_nothing(line):
 def test_of_two_pictures_that_is_taken_whose_direction_is_wanted(turned):
     # Some offer one picture to send and one to receive, each in a section of its own.
     lines = [
-        wanted_line("video", mid="a", ssrc=1, sends=True),
-        wanted_line("video", mid="b", ssrc=2, receives=True),
-        wanted_line("video", mid="c", ssrc=3, sends=True, receives=True),
+        description.wanted_line("video", mid="a", ssrc=1, sends=True),
+        description.wanted_line("video", mid="b", ssrc=2, receives=True),
+        description.wanted_line("video", mid="c", ssrc=3, sends=True, receives=True),
     ]
     offered = read(described(lines[::-1] if turned else lines)).lines
-    (taken,) = common_lines(offered, sends={}, receives=("audio", "video"))
+    (taken,) = description.common_lines(offered, sends={}, receives=("audio", "video"))
     assert (taken.mid, taken.sends, taken.receives) == ("c" if turned else "a", False, True)
-    (given,) = common_lines(offered, sends={"video": 1}, receives=())
+    (given,) = description.common_lines(offered, sends={"video": 1}, receives=())
     assert (given.mid, given.sends, given.receives) == ("c" if turned else "b", True, False)
-    assert common_lines(offered, sends={"audio": 1}, receives=("audio",)) == []
+    assert description.common_lines(offered, sends={"audio": 1}, receives=("audio",)) == []

@@ -3,21 +3,6 @@
 import pytest
 
 from pipelines.session import access
-from pipelines.session.access import (
-    MOST_CONNECTIONS,
-    MOST_OF_ADDRESS,
-    MOST_STRANGERS,
-    PEOPLE,
-    STRANGER_NS,
-    Access,
-    AccessError,
-    AccessKind,
-    Doorway,
-    Role,
-    chat_role,
-    headers,
-    refusal,
-)
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.k2aci import ChatRole
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -31,16 +16,22 @@ FAR = {"scheme": "https", "names": ("10.0.0.7", "console")}
 
 def found(target=PAGE, *, host=HOST, origin=f"http://{HOST}", method="GET", **changes):
     known = {"seat": "space", "scheme": "http", "port": 8270, "names": ("127.0.0.1", "localhost")}
-    gate = Access(**known | changes, operator_token=OPERATOR, viewer_token=VIEWER)
+    gate = access.Access(**known | changes, operator_token=OPERATOR, viewer_token=VIEWER)
     return gate.find(method, target, host, origin)[:2]
 
 
 def test_the_token_says_what_its_owner_may():
-    assert found() == (AccessKind.PAGE, Role.OPERATOR)
-    assert found(f"/space?x=1&token={VIEWER}", origin=None) == (AccessKind.PAGE, Role.VIEWER)
-    assert found(f"/{VIEWER}/static/space.js", origin=None) == (AccessKind.FILE, Role.VIEWER)
-    assert found(SOCKET) == (AccessKind.SEAT, Role.OPERATOR)
-    assert found(f"/{OPERATOR}/media") == (AccessKind.MEDIA, Role.OPERATOR)
+    assert found() == (access.AccessKind.PAGE, access.Role.OPERATOR)
+    assert found(f"/space?x=1&token={VIEWER}", origin=None) == (
+        access.AccessKind.PAGE,
+        access.Role.VIEWER,
+    )
+    assert found(f"/{VIEWER}/static/space.js", origin=None) == (
+        access.AccessKind.FILE,
+        access.Role.VIEWER,
+    )
+    assert found(SOCKET) == (access.AccessKind.SEAT, access.Role.OPERATOR)
+    assert found(f"/{OPERATOR}/media") == (access.AccessKind.MEDIA, access.Role.OPERATOR)
     # A browser leaves the usual port out. Beyond loopback any address is good.
     assert found(host="127.0.0.1", port=80)
     for host in ("10.0.0.7:8270", "192.168.1.5:8270", "[fe80::1]:8270", "CONSOLE:8270"):
@@ -90,14 +81,14 @@ REFUSED = {
     [(*refused, each) for refused, requests in REFUSED.items() for each in requests],
 )
 def test_what_is_asked_for_otherwise_is_refused(status, reason, request_):
-    with pytest.raises(AccessError) as error:
+    with pytest.raises(access.AccessError) as error:
         found(**request_)
     assert error.value.status == status
     assert reason in (None, error.value.reason)
 
 
 def test_every_answer_forbids_all_but_its_own_origin():
-    policy = headers(HOST)["Content-Security-Policy"]
+    policy = access.headers(HOST)["Content-Security-Policy"]
     assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
     assert f"connect-src 'self' ws://{HOST} wss://{HOST}" in policy
     assert "unsafe" not in policy
@@ -106,18 +97,18 @@ def test_every_answer_forbids_all_but_its_own_origin():
 @pytest.mark.parametrize(
     ("role", "deeds"),
     [
-        (Role.COSMONAUT, ["panel.button", "hand"]),
-        (Role.EXPERIMENTER, ["tasks.select", "robot.reset_error", "robot.set_mode"]),
-        (Role.SUPERVISOR, ["joystick.halt", "session"]),
-        (Role.SYSTEMS, ["housekeeping", "fetch"]),
+        (access.Role.COSMONAUT, ["panel.button", "hand"]),
+        (access.Role.EXPERIMENTER, ["tasks.select", "robot.reset_error", "robot.set_mode"]),
+        (access.Role.SUPERVISOR, ["joystick.halt", "session"]),
+        (access.Role.SYSTEMS, ["housekeeping", "fetch"]),
     ],
 )
 def test_each_of_the_people_does_what_is_theirs(role, deeds):
-    segment = next(one for one, people in PEOPLE.items() if role in people)
+    segment = next(one for one, people in access.PEOPLE.items() if role in people)
     for deed in deeds:
-        assert refusal(role, segment, deed) == ""
-        assert refusal(Role.OPERATOR, segment, deed) == ""
-        assert refusal(Role.VIEWER, segment, deed) == "a viewer may watch only"
+        assert access.refusal(role, segment, deed) == ""
+        assert access.refusal(access.Role.OPERATOR, segment, deed) == ""
+        assert access.refusal(access.Role.VIEWER, segment, deed) == "a viewer may watch only"
 
 
 @pytest.mark.parametrize("deed", [one for one in access._MAY if "." in one])
@@ -128,58 +119,58 @@ def test_each_telecommand_that_a_role_may_give_exists(deed):
 
 
 def test_a_refusal_names_who_may():
-    words = refusal(Role.SUPERVISOR, Segment.GROUND, "tasks.select")
+    words = access.refusal(access.Role.SUPERVISOR, Segment.GROUND, "tasks.select")
     assert words == "tasks select: the experimenter may, not the supervisor"
-    words = refusal(Role.OPERATOR, Segment.SPACE, "robot.power_off")
+    words = access.refusal(access.Role.OPERATOR, Segment.SPACE, "robot.power_off")
     assert words == "robot power off: the experimenter or the supervisor may, not people in space"
-    words = refusal(Role.SYSTEMS, Segment.GROUND, "robot.melt")
+    words = access.refusal(access.Role.SYSTEMS, Segment.GROUND, "robot.melt")
     assert words == "robot melt: nobody may, not the systems operator"
 
 
 def test_everybody_but_viewers_writes_in_the_chat_as_who_they_are():
     named = {
-        chat_role(role, segment)
-        for segment, people in PEOPLE.items()
+        access.chat_role(role, segment)
+        for segment, people in access.PEOPLE.items()
         for role in people
-        if refusal(role, segment, "chat") == ""
+        if access.refusal(role, segment, "chat") == ""
     }
     assert named == set(ChatRole)
-    assert chat_role(Role.OPERATOR, Segment.SPACE) is ChatRole.COSMONAUT
+    assert access.chat_role(access.Role.OPERATOR, Segment.SPACE) is ChatRole.COSMONAUT
 
 
 def test_idle_strangers_make_room_and_known_connections_stay():
-    door = Doorway()
+    door = access.Doorway()
     door.handle_accepted(0, "operator", 0)
     door.handle_known(0)
     closed = []
     for number in range(1, 1401):
         closed += door.handle_accepted(number, f"host {number % 50}", number)
     # The newest stay long enough to show their token.
-    assert closed == list(range(1, 1401 - MOST_STRANGERS))
+    assert closed == list(range(1, 1401 - access.MOST_STRANGERS))
     assert door.closed == len(closed)
     for number in range(1401, 1401 + 100):
         door.handle_accepted(number, "lan", 2000)
         door.handle_known(number)
-    assert len(door) == 101 + MOST_STRANGERS - 1
+    assert len(door) == 101 + access.MOST_STRANGERS - 1
     # One address has fewer.
-    door = Doorway()
+    door = access.Doorway()
     door.handle_accepted(0, "other", 0)
     closed = [one for n in range(1, 100) for one in door.handle_accepted(n, "same", 0)]
-    assert closed == list(range(1, 100 - MOST_OF_ADDRESS))
+    assert closed == list(range(1, 100 - access.MOST_OF_ADDRESS))
 
 
 def test_strangers_have_little_time_and_the_known_have_all_but_room():
-    door = Doorway()
+    door = access.Doorway()
     for number in range(3):
         door.handle_accepted(number, "a", 0)
     door.handle_known(1)
-    assert door.handle_time(STRANGER_NS - 1) == []
-    assert door.handle_time(STRANGER_NS) == [0, 2]
-    assert door.handle_time(10 * STRANGER_NS) == []
+    assert door.handle_time(access.STRANGER_NS - 1) == []
+    assert door.handle_time(access.STRANGER_NS) == [0, 2]
+    assert door.handle_time(10 * access.STRANGER_NS) == []
     door.handle_closed(1)
     door.handle_closed(1)
     assert len(door) == 0
-    for number in range(MOST_CONNECTIONS):
+    for number in range(access.MOST_CONNECTIONS):
         door.handle_accepted(number, f"{number}", 0)
         door.handle_known(number)
     assert door.handle_accepted(1000, "late", 0) == [1000]

@@ -10,16 +10,8 @@ import pytest
 from kontur_av.topics import session_files
 from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.hand.safety_ends import follow_stop
+from pipelines.session import kept_files
 from pipelines.session.figures import Event
-from pipelines.session.kept_files import (
-    KeptOrders,
-    Note,
-    NotesReader,
-    SessionNow,
-    add_note,
-    read_now,
-    write_now,
-)
 
 SESSION = "lab-1"
 
@@ -36,7 +28,7 @@ def full(*_, **__):
 def kept(tmp_path, monkeypatch):
     monkeypatch.setattr(session_files, "user_root", lambda: tmp_path)
     make_session_root(SESSION)
-    return KeptOrders(SESSION)
+    return kept_files.KeptOrders(SESSION)
 
 
 @pytest.mark.rule("S6")
@@ -97,25 +89,25 @@ def test_without_its_directory_a_session_counts_as_stopped(kept, left):
 
 @pytest.mark.usefixtures("kept")
 def test_what_a_session_tells_is_read():
-    assert read_now(SESSION) is None
+    assert kept_files.read_now(SESSION) is None
     event = Event(number=3, at_us=1, what="upkeep", text="loss of signal in 60 s")
-    now = SessionNow(experiment="aiming, run 1", events=[event])
-    write_now(SESSION, now)
-    assert read_now(SESSION) == now
+    now = kept_files.SessionNow(experiment="aiming, run 1", events=[event])
+    kept_files.write_now(SESSION, now)
+    assert kept_files.read_now(SESSION) == now
 
 
 @pytest.mark.usefixtures("kept")
 def test_each_note_comes_once_and_malformed_ones_are_left_out():
-    reader, notes = NotesReader(SESSION), session_root(SESSION) / "notes"
+    reader, notes = kept_files.NotesReader(SESSION), session_root(SESSION) / "notes"
     assert reader.read() == []
-    add_note(SESSION, Note("milestone", "x" * 500))
-    assert reader.read() == [Note("milestone", "x" * 200)]
+    kept_files.add_note(SESSION, kept_files.Note("milestone", "x" * 500))
+    assert reader.read() == [kept_files.Note("milestone", "x" * 200)]
     with notes.open("ab") as file:
         file.write(b'{"what": "session", "text": "no kind of a note"}\n')
         file.write(b'{"what": "upkeep", "text": "\xff"}\n{"what": "upkeep", ')
     assert reader.read() == []
     with notes.open("ab") as file:
         file.write(b'"text": "whole now"}\n')
-    assert reader.read() == [Note("upkeep", "whole now")]
+    assert reader.read() == [kept_files.Note("upkeep", "whole now")]
     with pytest.raises(OSError):
-        add_note("none", Note("upkeep", "nobody is there"))
+        kept_files.add_note("none", kept_files.Note("upkeep", "nobody is there"))

@@ -8,20 +8,14 @@ import pytest
 from kontur_av.clock import ManualClock
 from kontur_av.topics.session_files import shared_memory
 from pipelines.session import machine_checks
-from pipelines.session.machine_checks import (
-    check_python,
-    check_shared_memory,
-    check_timer,
-    check_topics,
-)
 from pipelines.session.topology import LOOP_PRIORITY
 
 
 def test_another_system_and_too_little_shared_memory_are_missing_with_their_mend(monkeypatch):
-    verdict = check_shared_memory(lambda: 10_000_000)
+    verdict = machine_checks.check_shared_memory(lambda: 10_000_000)
     assert verdict.state == "missing" and "--shm-size" in verdict.mend
     monkeypatch.setattr(platform, "system", lambda: "Windows")
-    verdict = check_python()
+    verdict = machine_checks.check_python()
     assert verdict.state == "missing" and "Linux" in verdict.mend
 
 
@@ -43,7 +37,7 @@ def test_the_topic_check_finds_what_does_not_work_and_leaves_nothing_behind(
 ):
     for name, does in broken.items():
         monkeypatch.setattr(f"kontur_av.topics.{name}", does)
-    verdict = check_topics()
+    verdict = machine_checks.check_topics()
     assert verdict.state == ("ok" if mend is None else "missing")
     assert not mend or verdict.mend == mend
     assert not shared_memory(f"doctor-{os.getpid()}")
@@ -61,8 +55,8 @@ class LateClock(ManualClock):
 
 
 def test_the_timer_check_gives_the_lateness_at_the_priority_of_the_loops():
-    good = check_timer(LateClock(70_000))
+    good = machine_checks.check_timer(LateClock(70_000))
     assert good.state == "ok" and "70 µs (p50), 70 µs (p99), 0 slips" in good.found
-    bad = check_timer(LateClock(2_300_000))
+    bad = machine_checks.check_timer(LateClock(2_300_000))
     assert bad.state == "advice" and "2300 µs" in bad.found
     assert machine_checks._RT_PRIORITY == LOOP_PRIORITY

@@ -8,19 +8,7 @@ import pytest
 from kontur_av.errors import ProtocolError
 from kontur_av.media import empty_picture
 from pipelines.hand.haptic_trace import ROW
-from pipelines.session.messages import (
-    OwnPicture,
-    OwnSound,
-    Ping,
-    most_media_octets,
-    pack_haptic,
-    pack_pong,
-    pack_preview,
-    pack_sound,
-    pack_unit,
-    parse_media_message,
-    parse_seat_message,
-)
+from pipelines.session import messages
 from telepresence.haptics.device.page import PageInput
 
 SIZES = {0: (32, 16), 1: None}
@@ -39,28 +27,34 @@ def hand(dead_man=1, x=0.5, y=-1.0, page_ms=5.5):
 
 
 def test_what_pages_are_sent():
-    assert pack_unit(2, 5, (1 << 32) + 7, -1, b"unit") == (
+    assert messages.pack_unit(2, 5, (1 << 32) + 7, -1, b"unit") == (
         b"\x01\x02\x05\x00\x07\x00\x00\x00" + b"\xff" * 8 + b"unit"
     )
-    assert pack_sound(1, 3, 1000, b"\x01\x02", concealed=True) == (
+    assert messages.pack_sound(1, 3, 1000, b"\x01\x02", concealed=True) == (
         b"\x02\x01\x01\x00\x03\x00\x00\x00\xe8\x03\x00\x00\x00\x00\x00\x00\x01\x02"
     )
-    assert pack_pong(1.0, 5) == struct.pack("<B7xdq", 5, 1.0, 5)
+    assert messages.pack_pong(1.0, 5) == struct.pack("<B7xdq", 5, 1.0, 5)
     nines = empty_picture(16, 16)
     nines[:] = 9
-    assert pack_preview(3, 4, nines) == struct.pack("<BBHHxxq", 4, 3, 16, 16, 4) + b"\t" * 384
+    assert (
+        messages.pack_preview(3, 4, nines) == struct.pack("<BBHHxxq", 4, 3, 16, 16, 4) + b"\t" * 384
+    )
     rows = np.array([(1_500, 1, 2, 3, 4, 5, 0x30201, -1, -1)] * 2, ROW)
     row = struct.pack("<d5fI", 1.5, 1, 2, 3, 4, 5, 0x30201)  # its instant in microseconds
-    assert pack_haptic(1, rows) == struct.pack("<BBHI", 3, 1, 2, 0) + 2 * row
+    assert messages.pack_haptic(1, rows) == struct.pack("<BBHI", 3, 1, 2, 0) + 2 * row
 
 
 def test_what_pages_send():
-    assert parse_seat_message(struct.pack("<B7xd", 0x81, 2.5), 1) == Ping(2.5)
-    assert parse_seat_message(hand(), 42) == PageInput(True, 0.5, -1.0, 3, 9, 42)
+    assert messages.parse_seat_message(struct.pack("<B7xd", 0x81, 2.5), 1) == messages.Ping(2.5)
+    assert messages.parse_seat_message(hand(), 42) == PageInput(True, 0.5, -1.0, 3, 9, 42)
     shown, heard = picture(), block()
-    assert parse_media_message(shown, SIZES) == OwnPicture(0, 5.5, memoryview(shown)[16:])
-    assert parse_media_message(heard, SIZES) == OwnSound(1, 7, 5.5, memoryview(heard)[16:])
-    assert most_media_octets({0: (640, 480)}) == 16 + 640 * 480 * 3 // 2
+    assert messages.parse_media_message(shown, SIZES) == messages.OwnPicture(
+        0, 5.5, memoryview(shown)[16:]
+    )
+    assert messages.parse_media_message(heard, SIZES) == messages.OwnSound(
+        1, 7, 5.5, memoryview(heard)[16:]
+    )
+    assert messages.most_media_octets({0: (640, 480)}) == 16 + 640 * 480 * 3 // 2
 
 
 NO_HANDS = [
@@ -78,8 +72,8 @@ NO_MEDIA = [
 @pytest.mark.parametrize(
     ("parse", "data"),
     [
-        *((lambda data: parse_seat_message(data, 0), data) for data in NO_HANDS),
-        *((lambda data: parse_media_message(data, SIZES), data) for data in NO_MEDIA),
+        *((lambda data: messages.parse_seat_message(data, 0), data) for data in NO_HANDS),
+        *((lambda data: messages.parse_media_message(data, SIZES), data) for data in NO_MEDIA),
     ],
 )
 def test_what_is_out_of_its_range_size_or_input_is_refused(parse, data):

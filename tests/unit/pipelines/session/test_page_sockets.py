@@ -14,17 +14,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from kontur_av.errors import ConfigError
 from pipelines.session import page_sockets
-from pipelines.session.page_sockets import (
-    PageHost,
-    bind_pages,
-    check_certificate,
-    fingerprint,
-    listeners,
-    make_certificate,
-)
 
 SEATS = ("space", "ground")
-LOOPBACK = PageHost()
+LOOPBACK = page_sockets.PageHost()
 
 
 def test_a_busy_port_gives_way_to_the_next_until_there_is_none(monkeypatch):
@@ -36,19 +28,19 @@ def test_a_busy_port_gives_way_to_the_next_until_there_is_none(monkeypatch):
         # A second session takes ports behind those of the first.
         found = [port]
         for _ in range(2):
-            sockets = bind_pages(LOOPBACK, port, SEATS)
+            sockets = page_sockets.bind_pages(LOOPBACK, port, SEATS)
             found += [opened.enter_context(sockets[seat]).getsockname()[1] for seat in SEATS]
         assert found == sorted(set(found))
         # A browser may connect before the process serves it.
         socket.create_connection(("127.0.0.1", found[1])).close()
         monkeypatch.setattr(page_sockets, "_MOST_PORTS", 1)
         with pytest.raises(ConfigError, match=f"TCP ports {port} to {port} are busy"):
-            bind_pages(LOOPBACK, port, SEATS)
+            page_sockets.bind_pages(LOOPBACK, port, SEATS)
 
 
 def test_both_pages_have_the_same_two_tokens():
     sockets = {seat: socket.socket() for seat in SEATS}
-    pages = listeners(sockets, LOOPBACK, None)
+    pages = page_sockets.listeners(sockets, LOOPBACK, None)
     space, ground = pages["space"], pages["ground"]
     assert space.operator_token == ground.operator_token != space.viewer_token
     assert len(space.operator_token) >= 32
@@ -58,7 +50,7 @@ def test_both_pages_have_the_same_two_tokens():
     assert {*space.people} == {"cosmonaut", "experimenter", "supervisor", "systems"}
     assert space.people == ground.people and not any(map(repr(space).count, space.people.values()))
     assert {*space.role_tokens} == {"cosmonaut"} and space.ports == ground.ports
-    again = listeners(sockets, LOOPBACK, None)
+    again = page_sockets.listeners(sockets, LOOPBACK, None)
     assert again["space"].operator_token != space.operator_token
     for listener in sockets.values():
         listener.close()
@@ -72,27 +64,27 @@ def test_a_browser_may_ask_only_for_names_of_the_bound_address():
         ("lab", "127.0.1.1", ("127.0.1.1", "lab", "localhost")),
         ("::1", "::1", ("::1", "localhost")),
     ):
-        assert PageHost(host=host, address=address).names() == names
-    every = PageHost(host="0.0.0.0", address="0.0.0.0").names()
+        assert page_sockets.PageHost(host=host, address=address).names() == names
+    every = page_sockets.PageHost(host="0.0.0.0", address="0.0.0.0").names()
     assert {"127.0.0.1", "localhost", socket.gethostname().lower()} <= set(every)
     assert "0.0.0.0" not in every
 
 
 def test_only_loopback_needs_no_tls():
     places = ("127.0.0.1", "127.3.2.1", "::1", "0.0.0.0", "192.0.2.7")
-    found = [PageHost(host=at, address=at).is_loopback for at in places]
+    found = [page_sockets.PageHost(host=at, address=at).is_loopback for at in places]
     assert found == [True, True, True, False, False]
 
 
 @pytest.fixture
 def made(tmp_path):
     path = tmp_path / "page.pem"
-    make_certificate(path, ["192.0.2.7", "lab.example", "2001:db8::1"])
+    page_sockets.make_certificate(path, ["192.0.2.7", "lab.example", "2001:db8::1"])
     return path
 
 
 def test_a_made_certificate_is_valid_for_its_names_and_its_owners_alone(made):
-    check_certificate(made)
+    page_sockets.check_certificate(made)
     assert stat.S_IMODE(made.stat().st_mode) == 0o600
     read = x509.load_pem_x509_certificate(made.read_bytes())
     names = read.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
@@ -103,9 +95,9 @@ def test_a_made_certificate_is_valid_for_its_names_and_its_owners_alone(made):
     shown = ssl.PEM_cert_to_DER_cert(made.read_text().partition("-----BEGIN PRIVATE")[0])
     digest = hashes.Hash(hashes.SHA256())
     digest.update(shown)
-    assert fingerprint(made).replace(":", "") == digest.finalize().hex().upper()
+    assert page_sockets.fingerprint(made).replace(":", "") == digest.finalize().hex().upper()
     with pytest.raises(FileExistsError):
-        make_certificate(made, ["localhost"])
+        page_sockets.make_certificate(made, ["localhost"])
 
 
 def test_what_is_no_certificate_with_its_key_is_refused(made, tmp_path):
@@ -115,7 +107,7 @@ def test_what_is_no_certificate_with_its_key_is_refused(made, tmp_path):
         begin = text.index("-----BEGIN PRIVATE")
         return text[:begin], text[begin:]
 
-    make_certificate(tmp_path / "other.pem", ["localhost"])
+    page_sockets.make_certificate(tmp_path / "other.pem", ["localhost"])
     (certificate, key), (_, other) = parts(made), parts(tmp_path / "other.pem")
     locked = key.replace("PRIVATE KEY", "ENCRYPTED PRIVATE KEY")
     wrong = tmp_path / "wrong.pem"
@@ -128,7 +120,7 @@ def test_what_is_no_certificate_with_its_key_is_refused(made, tmp_path):
     ):
         wrong.write_text(text)
         with pytest.raises(ConfigError, match=f"--page-cert .*wrong.pem.*{says}"):
-            check_certificate(wrong)
+            page_sockets.check_certificate(wrong)
 
 
 @pytest.mark.parametrize(("days", "says"), [(400, "expired on"), (-9, "only from"), (300, None)])
@@ -140,7 +132,7 @@ def test_a_certificate_out_of_its_time_is_refused(made, monkeypatch, days, says)
 
     monkeypatch.setattr(page_sockets, "datetime", Clock)
     if says is None:
-        check_certificate(made)
+        page_sockets.check_certificate(made)
         return
     with pytest.raises(ConfigError, match=says):
-        check_certificate(made)
+        page_sockets.check_certificate(made)
