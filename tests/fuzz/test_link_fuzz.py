@@ -1,18 +1,15 @@
 """Invariant: whatever arrives, the receiver counts it and continues.
 
 It never raises. It counts each frame once, as received or as dropped for one reason. It holds no
-more than necessary, and after any garbage it understands a healthy peer again. KONTUR_FUZZ_FRAMES
-sets the length; half of the frames go each way.
+more than necessary, and after any garbage it understands a healthy peer again.
 """
 
-import os
 import struct
 from binascii import crc_hqx
 from random import Random
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from common import first_seed, repeats
 
 from telepresence.link.flows import (
     Level,
@@ -22,13 +19,13 @@ from telepresence.link.flows import (
     video_flow,
     voice_flow,
 )
-from telepresence.link.frame import MAX_PACKET_OCTETS, FrameCodec
+from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
 
 MS = 1_000_000
-FRAMES = int(os.environ.get("KONTUR_FUZZ_FRAMES", "40000"))
+FRAMES = repeats(40_000)
 FLOWS = [
     video_flow("video"),
     voice_flow("voice"),
@@ -67,9 +64,11 @@ def mutated(frame, random):
     return bytes(octets)
 
 
+@pytest.mark.rule("7")
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
 def test_mutated_frames(profile):
-    random = Random(20_260_101)
+    random = Random(first_seed(20_260_101))
+    print(f"seed {first_seed(20_260_101)}")
     sender, receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
     handled = mutations = events = 0
     for slot in range(FRAMES // 2):
@@ -101,9 +100,6 @@ def test_mutated_frames(profile):
     assert mutations > FRAMES // 5
     assert min(report.frames_dropped[why] for why in ("length", "fecf", "late")) > 0
     assert report.packets_dropped["malformed"] > 0
-    if FRAMES > 100_000:
-        print(profile.name, mutations, "of", handled, "frames mutated:", report)
-
     healthy = LinkSender(profile, FLOWS)
     out = []
     for slot in range(40):
@@ -115,42 +111,3 @@ def test_mutated_frames(profile):
             out.append(event.data)
     # Only the last packet before may be lost with the former life.
     assert out[-40:] == [struct.pack(">I", slot) for slot in range(40)]
-
-
-@pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
-@given(data=st.data())
-def test_any_octets_after_a_valid_header_with_a_valid_checksum(profile, data):
-    """What no checksum detects: a peer that violates the tag format, frame after frame."""
-    receiver = LinkReceiver(profile, FLOWS)
-    frames = data.draw(
-        st.lists(
-            st.tuples(
-                st.booleans(),
-                st.integers(0, 31) | st.integers(0, 0x7FF),
-                st.binary(max_size=24),
-                st.sampled_from([0, 1, 0x88, 0xFF]),
-            ),
-            max_size=30,
-        )
-    )
-    codec = FrameCodec(profile)
-    for count, (sample, pointer, zone, filler) in enumerate(frames):
-        size = profile.packet_zone_octets if sample else profile.largest_zone_octets
-        zone = zone[:size].ljust(size, bytes((filler,)))
-        pointer &= 0x1F if profile.pointer_in_vcid else 0x7FF
-        frame = codec.pack(count, bytes(12) if sample else None, pointer, zone)
-        assert receiver.handle_frame(frame, count * MS)
-        while receiver.next_event():
-            pass
-        held = sum(len(partial.body) for partial in receiver.packets._partials if partial)
-        assert held <= len(Level) * (MAX_PACKET_OCTETS + 16)
-    assert receiver.frames_received == len(frames)
-
-
-@given(frames=st.lists(st.binary(max_size=600) | st.binary(min_size=32, max_size=32), max_size=20))
-def test_any_lengths(frames):
-    for profile in (UPLINK, DOWNLINK):
-        receiver = LinkReceiver(profile, FLOWS)
-        for frame in frames:
-            receiver.handle_frame(frame, 0)
-        assert receiver.frames_received + sum(receiver.frames_dropped.values()) == len(frames)

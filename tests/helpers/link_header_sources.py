@@ -37,30 +37,6 @@ def video(random, seconds, *, hz=30, packets=(1,), jitter_ms=0.0, wait_ms=(5, 60
             sequence += 1
 
 
-def b_pictures(random, seconds, *, hz=30, between=3, packets=(1,), wait_ms=(5, 30)):
-    """Return (count, packet) of pictures in coding order: each P picture before its B pyramid."""
-    sequence, offset, ssrc = random.randrange(1 << 16), random.randrange(1 << 32), 5
-    count, number = 0, 0
-    for first in range(0, round(seconds * hz), between + 1):
-        for picture in [first + between + 1, *_pyramid(first, first + between + 1)]:
-            captured_s = (number + between + 1) / hz
-            wait = random.uniform(*wait_ms)
-            parts = random.choice(packets)
-            for part in range(parts):
-                count = max(count, round(1000 + captured_s * 1000 + wait + part / 2))
-                timestamp = offset + round(picture * 90_000 / hz)
-                yield count, rtp(sequence, timestamp, marker=int(part == parts - 1), ssrc=ssrc)
-                sequence += 1
-            number += 1
-
-
-def _pyramid(before, after):
-    middle = (before + after) // 2
-    if middle == before:
-        return []
-    return [middle, *_pyramid(before, middle), *_pyramid(middle, after)]
-
-
 def voice(random, seconds, *, block_ms=20, jitter_ms=3.0, ppm=0):
     """Return (count, packet) of a source of blocks of sound at 48 kHz."""
     sequence, offset, ssrc = random.randrange(1 << 16), random.randrange(1 << 32), 0x8000_0001

@@ -13,13 +13,7 @@ from random import Random
 import pytest
 from virtual_link import VirtualLink
 
-from telepresence.link.flows import (
-    HapticReceived,
-    Level,
-    packet_flow,
-    video_flow,
-    voice_flow,
-)
+from telepresence.link.flows import HapticReceived, Level, packet_flow, video_flow, voice_flow
 from telepresence.link.frame import FrameCodec, Pointers
 from telepresence.link.gateway import (
     FREED_STEP_BPS,
@@ -63,16 +57,34 @@ def make_gateway(side, life, radio=None, now_ns=0):
 
 
 class Path(RadioPath):
-    """A radio path that can be closed, loses frames by chance, and keeps what it carried."""
+    """A radio path that can be closed, keeps what it carried, and by chance loses frames.
 
-    def __init__(self, delay_ms, random, loss=0.0):
+    trouble: the share of frames that come twice, after the next one, or with flipped bits.
+    """
+
+    def __init__(self, delay_ms, random):
         super().__init__(delay_ns=delay_ms * MS)
-        self.random, self.loss, self.shut, self.sent = random, loss, False, []
+        self.random, self.loss, self.trouble, self.shut = random, 0.0, 0.0, False
+        self.sent, self.held = [], []
 
     def handle_frame(self, frame, now_ns):
-        if not self.shut and self.random.random() >= self.loss:
-            self.sent.append(frame)
-            super().handle_frame(frame, now_ns)
+        if self.shut or self.random.random() < self.loss:
+            return
+        frames, self.held = [frame, *self.held], []
+        if self.random.random() < self.trouble:
+            what = self.random.randrange(3)
+            if what == 0:
+                frames.append(frame)
+            elif what == 1:
+                frames, self.held = frames[1:], [frame]
+            else:
+                wrong = int.from_bytes(frame, "big")
+                for bit in self.random.sample(range(8 * len(frame)), self.random.randint(1, 3)):
+                    wrong ^= 1 << bit
+                frames[0] = wrong.to_bytes(len(frame), "big")
+        for one in frames:
+            self.sent.append(one)
+            super().handle_frame(one, now_ns)
 
 
 class Session:
@@ -499,38 +511,28 @@ def test_a_peer_whose_delay_falls_is_followed_again_after_a_round_trip():
         assert report.receive.restarts == report.supervision.counts["peer_restarts"] == 0
 
 
-@pytest.mark.parametrize("delay_ms", [0, 350])
-def test_headers_cost_two_octets_on_average_two_way(delay_ms):
-    one = Session(delay_ms=delay_ms, traffic=("voice", "video")).run(3000)
-    before = [report.transmit.headers for report in one.reports()]
-    one.run(8_000)
-    octets = packets = 0
-    for was, report in zip(before, one.reports(), strict=True):
-        for flow in ("voice", "video"):
-            now = report.transmit.headers[flow]
-            octets += now["header_octets"] - was[flow]["header_octets"]
-            packets += now["packets"] - was[flow]["packets"]
-            assert now["raw"] - was[flow]["raw"] <= 30
-        assert "no_context" not in report.receive.packets_dropped
-    assert octets <= 2.2 * packets
-
-
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(4))
 def test_losses_and_restarts_never_corrupt_a_packet(seed):
-    one = Session(delay_ms=[0, 120, 350][seed], seed=seed, traffic=("voice", "video"))
+    traffic = ("voice", "video") if seed % 2 else TRAFFIC
+    one = Session(delay_ms=[0, 12, 120, 350][seed], seed=seed, traffic=traffic).run(3000)
     random = Random(seed)
+    before = one.reports()
+    one.run(2000)
+    for was, report in zip(before, one.reports(), strict=True):
+        assert "no_context" not in report.receive.packets_dropped
+        for flow, headers in report.transmit.headers.items():
+            assert headers["raw"] - was.transmit.headers[flow]["raw"] <= 10
     for _ in range(30):
         for path in one.paths.values():
             path.loss = random.choice((0, 0, 0, 0.02, 0.3, 1))
-        side = random.choice(SIDES)
-        match random.randrange(6):
-            case 0:
-                one.restart(side)
-                one.new_source(side)
-            case 1:
-                one.new_source(side)
+            path.trouble = random.choice((0, 0, 0.02, 0.5))
+        side, what = random.choice(SIDES), random.randrange(6)
+        if what == 0:
+            one.restart(side)
+        if what < 2:
+            one.new_source(side)
         one.run(random.choice((30, 200, 700, 1500)))
-    assert sum(len(got) for got in one.got.values()) > 400
+    assert sum(len(got) for got in one.got.values()) > 600
 
 
 def test_a_restart_during_a_gap_is_recognized():

@@ -1,6 +1,5 @@
 """Whose frames are followed without protection; and the slots of a protected path."""
 
-import pytest
 from protected_pair import GROUND_ADDRESS, GROUND_KEY, SPACE_ADDRESS, SPACE_KEY
 
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -25,33 +24,26 @@ SLOT_NS = 1_000_000
 FRAME = bytes(32)
 
 
-@pytest.fixture
-def waiting():
-    return OpenPath(DOWNLINK, address=None, now_ns=0)
-
-
-def test_who_sends_a_good_frame_first_is_the_peer(waiting):
-    assert waiting.seal(b"frame", 0) is None
-    assert waiting.handle_datagram(HIT, OTHER, 1) is None
-    assert waiting.handle_datagram(b"", OTHER, 1) is None
-    assert waiting.handle_datagram(GOOD, PEER, 2) == GOOD
-    assert waiting.seal(b"frame", 3) == (b"frame", PEER)
-    figures = waiting.report(4)
+def test_who_sends_a_good_frame_first_is_the_peer():
+    path = OpenPath(DOWNLINK, address=None, now_ns=0)
+    assert path.seal(b"frame", 0) is None
+    assert path.handle_datagram(HIT, OTHER, 1) is None
+    assert path.handle_datagram(b"", OTHER, 1) is None
+    assert path.handle_datagram(GOOD, PEER, 2) == GOOD
+    assert path.seal(b"frame", 3) == (b"frame", PEER)
+    figures = path.report(4)
     assert (figures.address, figures.session_ns, figures.unsent) == ("192.0.2.1:27000", 2, 1)
     assert figures.dropped == {"stranger": 2}
     assert not figures.protected
-
-
-def test_another_is_followed_only_after_a_silence(waiting):
-    waiting.handle_datagram(GOOD, PEER, 0)
-    # A frame that the radio has hit is none the less a sign of life.
-    assert waiting.handle_datagram(HIT, PEER, SILENCE_NS) == HIT
-    assert waiting.handle_datagram(GOOD, OTHER, 2 * SILENCE_NS - 1) is None
-    assert waiting.handle_datagram(HIT, OTHER, 2 * SILENCE_NS) is None
-    assert waiting.handle_datagram(GOOD, OTHER, 2 * SILENCE_NS) == GOOD
-    figures = waiting.report(2 * SILENCE_NS)
+    # Another is followed only after a silence; a frame that the radio has hit is a sign of life.
+    begun_ns = SILENCE_NS + 2
+    assert path.handle_datagram(HIT, PEER, begun_ns) == HIT
+    assert path.handle_datagram(GOOD, OTHER, begun_ns + SILENCE_NS - 1) is None
+    assert path.handle_datagram(HIT, OTHER, begun_ns + SILENCE_NS) is None
+    assert path.handle_datagram(GOOD, OTHER, begun_ns + SILENCE_NS) == GOOD
+    figures = path.report(begun_ns + SILENCE_NS)
     assert (figures.address, figures.address_changes) == ("192.0.2.9:4000", 1)
-    assert figures.dropped == {"stranger": 2}
+    assert figures.dropped == {"stranger": 4}
     assert figures.events[-1].what == "peer moved to 192.0.2.9:4000"
 
 

@@ -154,14 +154,13 @@ def test_packets_without_octets_fill_a_queue(policy):
 
 def test_a_slot_drops_a_limited_number_of_old_packets():
     packets = queue(DropPolicy.REJECT_NEWEST, depth_octets=10_000, depth_packets=1000)
-    for _ in range(1000):
-        packets.handle_packet(0, b"", 0)
+    put(packets, *[0] * 1000)
     for slot in range(100, 200):
         before = len(packets)
         for _ in range(10):
             assert not packets.waiting(slot * MS)
         assert before - len(packets) == min(MOST_EXPIRED, before)
-    packets.handle_packet(0, b"next", 200 * MS)
+    put(packets, b"next", now_ns=200 * MS)
     assert taken(packets, 200 * MS) == [b"next"]
     assert packets.report(200 * MS).drops["expired"] == 1000
 
@@ -176,43 +175,26 @@ def test_rtcp_goes_before_media_but_not_twice_in_a_row():
 
 def test_media_is_dropped_for_rtcp_which_has_half_of_the_queue():
     packets = queue(DropPolicy.DROP_OLDEST)
-    for octet in range(4):
-        packets.handle_packet(0, bytes([octet]) * 25, 0)
-    for octet in range(4, 8):
-        packets.handle_packet(1, bytes([octet]) * 25, 0, rtcp=True)
-    for octet in range(8, 10):
-        packets.handle_packet(0, bytes([octet]) * 25, 0)
+    for first, rtcp in ((0, False), (4, True), (8, False)):
+        put(packets, *(bytes([n]) * 25 for n in range(first, min(first + 4, 10))), rtcp=rtcp)
     assert sorted(data[0] for data in taken(packets)) == [6, 7, 8, 9]
     assert packets.report(0).drops["full"] == 6
-
-
-def test_a_full_queue_that_rejects_the_newest_also_rejects_rtcp():
+    # A full queue that rejects the newest also rejects RTCP.
     packets = queue(DropPolicy.REJECT_NEWEST)
-    assert packets.handle_packet(1, bytes(50), 0, rtcp=True)
-    assert not packets.handle_packet(1, bytes(10), 0, rtcp=True)
-    assert packets.handle_packet(0, bytes(50), 0)
-    assert not packets.handle_packet(0, bytes(10), 0)
+    assert put(packets, 50, 10, rtcp=True) == put(packets, 50, 10) == [True, False]
     assert packets.report(0).drops["full"] == 2
 
 
-def test_what_exceeds_the_rate_waits_and_is_counted():
+def test_what_exceeds_the_rate_waits_and_unused_octets_take_it_uncharged():
     """8 kbit/s are an octet a millisecond; 20 octets may go at once."""
     packets = queue(DropPolicy.REJECT_NEWEST, rate_bps=8_000, burst_octets=20)
-    for number in range(4):
-        packets.handle_packet(0, bytes([number]) * 10, 0)
-    sent = {}
-    for ms in range(30):
-        for data in taken(packets, ms * MS):
-            sent[data[0]] = ms
+    put(packets, *(bytes([number]) * 10 for number in range(4)))
+    sent = {data[0]: ms for ms in range(30) for data in taken(packets, ms * MS)}
     assert sent == {0: 0, 1: 0, 2: 10, 3: 20}
     assert packets.report(30 * MS).delayed == 2
     assert packets.report(30 * MS).max_age_ns == 20 * MS
-
-
-def test_unused_octets_take_what_the_rate_holds_back_and_are_not_charged():
     packets = queue(DropPolicy.REJECT_NEWEST, rate_bps=8_000, burst_octets=20)
-    for number in range(4):
-        packets.handle_packet(0, bytes([number]) * 20, 0)
+    put(packets, *(bytes([number]) * 20 for number in range(4)))
     assert taken(packets, 0) == [bytes(20)]
     assert not packets.waiting(0)
     assert packets.held(0)

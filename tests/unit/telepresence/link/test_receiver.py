@@ -5,13 +5,7 @@ from random import Random
 
 import pytest
 
-from telepresence.link.flows import (
-    Level,
-    SupervisionReceived,
-    packet_flow,
-    rtcp_flow,
-    video_flow,
-)
+from telepresence.link.flows import Level, SupervisionReceived, packet_flow, rtcp_flow, video_flow
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.receiver import LinkReceiver, StrangerFrame
@@ -188,11 +182,9 @@ def test_an_answer_is_followed_beside_a_busy_stranger():
 
 
 def test_a_single_implausible_count_is_a_bit_error():
-    receiver = LinkReceiver(UPLINK, FLOWS)
-    sent = frames(10, 100)
     for wild in (5_000_000, 99 - 40, 1):
+        sent, receiver = frames(10, 100), LinkReceiver(UPLINK, FLOWS)
         sent[4] = FrameCodec(UPLINK).pack(wild, None, 0, bytes(24))
-        receiver = LinkReceiver(UPLINK, FLOWS)
         feed(receiver, sent)
         assert receiver.frames_dropped == {"stray": 1}
         assert (receiver.restarts, receiver.frames_lost) == (0, 1)
@@ -279,10 +271,9 @@ def test_without_approval_only_supervision_is_delivered():
 def test_a_loss_of_signal_drops_incomplete_packets():
     sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
     sender.handle_packet("tmtc", bytes(100), 0)
-    for slot in range(3):
-        receiver.handle_frame(sender.poll_transmit(slot), slot)
-    receiver.handle_signal_lost(3)
-    for slot in range(3, 8):
+    for slot in range(8):
+        if slot == 3:
+            receiver.handle_signal_lost(3)
         receiver.handle_frame(sender.poll_transmit(slot), slot)
     assert receiver.next_event() is None
     assert receiver.packets.dropped == {"incomplete": 1}

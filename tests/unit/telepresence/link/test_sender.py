@@ -19,11 +19,11 @@ from telepresence.link.flows import (
     video_flow,
     voice_flow,
 )
-from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.queues import MOST_EXPIRED, DropPolicy, QueueLimits
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import MOST_PIECES, LinkSender
-from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
+from telepresence.tmtc.pus.packets import Telecommand, pack_packet
 
 MS = 1_000_000
 FLOWS = [
@@ -36,6 +36,9 @@ FLOWS = [
 ]
 #: A raw flow for each level, and RTCP at the level of video.
 RAW = [*(packet_flow(level.name.lower(), level) for level in Level), rtcp_flow("rtcp")]
+TELECOMMAND = pack_packet(Telecommand(apid=0x133, count=7, service=8, subtype=1, data=b"s"))
+#: A zone of few octets with an M_PDU header: all packets are in pieces.
+NARROW = LinkProfile(name="narrow", frame_octets=34, scid=1)
 PROFILES = pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
 
 
@@ -284,13 +287,6 @@ def test_no_packet_is_sent_beyond_its_age(flow, octets, most_ms, beside, patienc
     assert queue.max_age_ns == most_ms * MS
 
 
-def test_the_report_shows_the_age_of_the_last_octet():
-    line = Line().run(1_000, lambda slot: [("video", 600)] if slot % 100 == 0 else [])
-    # With its tag it takes 51 slots, the last of them 50 ms after its arrival.
-    assert set(line.ages["video"]) == {50}
-    assert line.queues["video"].max_age_ns == 50 * MS
-
-
 def each(interval, name, octets, phase=0):
     return lambda slot: [(name, octets)] if slot % interval == phase else []
 
@@ -398,6 +394,9 @@ def test_every_length_from_every_position(profile):
         (rtcp_flow("f"), b"\x80\xc8" + bytes(5), False),
         (rtcp_flow("f"), b"\x40\xc8" + bytes(6), False),
         (tmtc_flow("f"), bytes(12), False),
+        (tmtc_flow("f"), pack_wall(WallMessage(1, None), 16_383), True),
+        (tmtc_flow("f"), TELECOMMAND, True),
+        (tmtc_flow("f"), TELECOMMAND[:-1], False),
         (packet_flow("f", Level.VIDEO), b"", True),
         (packet_flow("f", Level.VIDEO), bytes(2048), True),
     ],
@@ -410,31 +409,7 @@ def test_garbage_takes_no_capacity(flow, data, plausible):
     assert not sender.handle_haptic(bytes(11), 0) and sender.refused["haptic_length"] == 1
 
 
-def test_garbage_on_a_telecommand_port_is_not_sent():
-    sender = LinkSender(UPLINK, [tmtc_flow("telemetry")])
-    select = pack_packet(Telecommand(apid=0x133, count=7, service=8, subtype=1, data=b"\1static"))
-    report = pack_packet(Telemetry(apid=0x133, count=16_383, service=17, subtype=2))
-    wall = pack_wall(WallMessage(1, None), 16_383)
-    for packet in (report, select, wall):
-        assert sender.handle_packet("telemetry", packet, 0)
-    garbage = [
-        b"",
-        bytes(20),
-        b"\xff" * 20,
-        *(packet[:-1] for packet in (select, wall)),
-        *(packet + b"x" for packet in (select, wall)),
-        b"\x38" + select[1:],  # version 1
-        b"\x11" + select[1:],  # without a secondary header
-        wall[:1] + b"\x02" + wall[2:],  # another APID
-        *(packet[:2] + b"\x00" + packet[3:] for packet in (select, wall)),  # segmented
-        select[:4] + b"\x00\xff" + select[6:] + bytes(256 - len(select) + 6),  # too long
-    ]
-    for count, datagram in enumerate(garbage, 1):
-        assert not sender.handle_packet("telemetry", datagram, 0)
-        assert sender.refused["garbage"] == count
-
-
-@PROFILES
+@pytest.mark.parametrize("profile", [UPLINK, NARROW, DOWNLINK], ids=lambda profile: profile.name)
 @settings(max_examples=12)
 @given(data=st.data())
 def test_every_octet_of_every_frame_is_accounted_for_and_every_packet_comes(profile, data):

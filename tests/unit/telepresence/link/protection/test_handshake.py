@@ -1,21 +1,10 @@
 """When an end knocks, whom it answers, and how often."""
 
 import pytest
-from protected_pair import (
-    GROUND_KEY,
-    MS,
-    SPACE_ADDRESS,
-    SPACE_KEY,
-    ProtectedPair,
-    S,
-)
+from protected_pair import GROUND_KEY, MS, SPACE_ADDRESS, SPACE_KEY, ProtectedPair, S
 
 from telepresence.link.protection.channel import HandshakeFailed, ProtectedChannel, SessionBegun
-from telepresence.link.protection.datagrams import (
-    KNOCK,
-    HandshakeSegment,
-    SegmentCodec,
-)
+from telepresence.link.protection.datagrams import KNOCK, HandshakeSegment, SegmentCodec
 from telepresence.link.protection.handshake import Handshake
 
 

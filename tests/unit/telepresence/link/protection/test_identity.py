@@ -78,9 +78,7 @@ def test_a_key_survives_its_file_and_shows_only_its_identity():
 
 def test_other_keys_and_garbage_are_refused_without_a_quotation():
     other = ec.generate_private_key(ec.SECP256R1()).private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     locked = KEY.private.private_bytes(
         serialization.Encoding.PEM,

@@ -28,9 +28,6 @@ MS, S = 1_000_000, 1_000_000_000
 TIMING = SupervisionTiming()
 
 
-bits, octets = st.booleans(), st.integers(0, 255)
-
-
 words, longs = st.integers(0, 65535), st.integers(0, (1 << 24) - 1)
 
 
@@ -39,10 +36,11 @@ MESSAGES = st.builds(
     st.integers(1, 15),
     st.sampled_from([kind for kind in MessageKind if kind is not MessageKind.CLOCK]),
     st.sampled_from(LinkState),
-    *(bits, bits, bits, bits, bits, st.integers(1, 65535), words, words),
-    st.tuples(octets, octets, octets, octets),
+    *([st.booleans()] * 5),
+    *(st.integers(1, 65535), words, words),
+    st.tuples(*[st.integers(0, 255)] * 4),
     st.tuples(words, words),
-    *(longs, longs),
+    *([st.integers(0, (1 << 24) - 1)] * 2),
 )
 
 

@@ -112,12 +112,7 @@ def test_a_wrong_message_counts_from_its_repetition_on():
     assert (one.peer, one.peer_life, one.checked, one.agreed) == (None, 0, False, False)
     assert one.obstacle()[0] is LinkState.REFUSED and "configuration differs" in one.refusal
     # Rates say more than "differs", and what is known is kept.
-    rates = from_peer(
-        one,
-        kind=MessageKind.REJECT,
-        digest=one.digest ^ 1,
-        rates_kbps=(4000, 300),
-    )
+    rates = from_peer(one, kind=MessageKind.REJECT, digest=one.digest ^ 1, rates_kbps=(4000, 300))
     assert one.handle_message(rates, 5) is MessageVerdict.REFUSED
     assert "uplink has 256 kbit/s here and 300 there" in one.refusal
     one.handle_message(wrong, 6)

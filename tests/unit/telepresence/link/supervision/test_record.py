@@ -1,8 +1,6 @@
 """The record of states, contacts and gaps adds up."""
 
-from telepresence.link.supervision.message import (
-    LinkState,
-)
+from telepresence.link.supervision.message import LinkState
 from telepresence.link.supervision.record import SupervisionRecord
 
 MS, S = 1_000_000, 1_000_000_000

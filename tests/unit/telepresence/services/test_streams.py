@@ -2,21 +2,18 @@
 
 from random import Random
 
-import pytest
-from service_pair import ServicePair
+from service_pair import ServiceEnd, ServicePair
+from virtual_link import VirtualLink
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.errors import ProtocolError
+from telepresence.link.flows import HapticReceived, Level, PacketReceived, packet_flow
+from telepresence.link.gateway import BacklogReporter
 from telepresence.services.datagrams import (
     MOST_OCTETS,
     PART_OCTETS,
     OpenService,
     ResetReason,
-    ResetStream,
-    StreamPart,
-    is_service,
     pack_service,
-    parse_service,
 )
 from telepresence.services.stream import WINDOW_OCTETS
 from telepresence.services.streams import MOST_STREAMS
@@ -114,12 +111,19 @@ def test_only_a_few_streams_and_only_services_that_the_other_end_allows() -> Non
     assert pair.space.open(pair.now_ns) is not None
 
 
-def test_a_broken_connection_resets_the_other_one() -> None:
+def test_a_broken_connection_and_silence_in_contact_reset_a_stream() -> None:
     pair = ServicePair()
     here, there = pair.opened()
     pair.space.streams.handle_broken(next(iter(pair.space.programs)))
     pair.run(1)
     assert (here.reason, there.reason) == (ResetReason.BROKEN, ResetReason.BROKEN)
+    here, _ = pair.opened()
+    pair.space.work = lambda now_ns: []
+    here.write(b"x")
+    pair.run(29)
+    assert not here.closed
+    pair.run(2)
+    assert here.reason == ResetReason.SILENT
 
 
 def test_a_stream_without_data_is_reset_after_ten_minutes() -> None:
@@ -173,53 +177,36 @@ def test_an_overtaken_opening_gives_no_octet_of_another_life_to_the_opener() -> 
     assert wrong.reason == ResetReason.UNKNOWN
 
 
-def test_silence_in_contact_resets_a_stream() -> None:
-    pair = ServicePair()
-    here, _ = pair.opened()
-    pair.space.work = lambda now_ns: []
-    here.write(b"x")
-    pair.run(29)
-    assert not here.closed
-    pair.run(2)
-    assert here.reason == ResetReason.SILENT
-
-
-DATAGRAMS = [
-    OpenService(5, 1 << 31, "ssh"),
-    StreamPart(5, 6, 7, 8, 9),
-    StreamPart(5, 6, 7, 8, 9, gap=3, data=bytes(PART_OCTETS)),
-    StreamPart(5, 6, 7, 8, 9, data=b"a", last=True),
-    StreamPart(5, 6, 7, 8, 9, ask=True),
-    ResetStream(5, 0, ResetReason.IDLE),
-]
-
-
-@pytest.mark.parametrize("datagram", DATAGRAMS)
-def test_datagrams_are_parsed_as_they_were_packed(datagram: object) -> None:
-    octets = pack_service(datagram)  # type: ignore[arg-type]
-    assert is_service(octets)
-    assert len(octets) <= MOST_OCTETS
-    assert parse_service(octets) == datagram
-
-
-@pytest.mark.parametrize(
-    "octets",
-    [
-        b"",
-        b"\x40",
-        b"\x41",
-        b"\x41" + bytes(8),
-        b"\x41" + bytes(8) + b"../x",
-        b"\x41" + bytes(8) + b"a" * 33,
-        b"\x42" + bytes(20),
-        b"\x44" + b"\x01" * 21,
-        b"\x42" + b"\x01" * 300,
-        b"\x45" + bytes(8) + b"\x63",
-    ],
-)
-def test_what_is_no_datagram_of_a_service_is_refused(octets: bytes) -> None:
-    with pytest.raises(ProtocolError):
-        parse_service(octets)
-    pair = ServicePair()
-    pair.ground.streams.handle_datagram(octets, pair.now_ns)
-    assert pair.ground.streams.counts.service_garbage == 1
+def test_busy_streams_both_ways_take_no_slot_from_haptics() -> None:
+    flows = [packet_flow("files", Level.MAINTENANCE)]
+    link = VirtualLink(uplink_flows=flows, downlink_flows=flows)
+    ends = {link.ground: ServiceEnd(1), link.space: ServiceEnd(2)}
+    reporters = {gateway: BacklogReporter(gateway) for gateway in ends}
+    given, came = dict.fromkeys(ends, 0), dict.fromkeys(ends, 0)
+    for slot in range(6_000):
+        now_ns = link.now_ns
+        for gateway, end in ends.items():
+            # In the last slots the samples that are on their way arrive.
+            if 1_000 <= slot < 5_900:
+                given[gateway] += gateway.handle_haptic(bytes(12), now_ns)
+            if (told := reporters[gateway].poll_transmit(now_ns)) is not None:
+                end.streams.handle_link(
+                    heard=told.peer_heard, waiting_octets=told.maintenance_octets, now_ns=now_ns
+                )
+            if gateway is link.ground and len(end.programs) < 3:
+                end.open(now_ns)
+            for program in end.programs.values():
+                if not program.pending:
+                    program.write(OCTETS)
+            for datagram in end.work(now_ns):
+                gateway.handle_datagram("files", datagram, now_ns)
+        for gateway, event in link.step():
+            if isinstance(event, HapticReceived):
+                came[gateway] += 1
+            elif isinstance(event, PacketReceived):
+                ends[gateway].streams.handle_datagram(event.data, link.now_ns)
+    assert came == given == dict.fromkeys(ends, 4_900)
+    for end in ends.values():
+        counts = end.streams.report()
+        assert counts.service_octets_received > 20_000
+        assert counts.service_streams_reset == counts.service_octets_resent == 0
