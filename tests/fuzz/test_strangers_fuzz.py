@@ -50,25 +50,49 @@ def packets(payload_type, *, picture):
     return [*made, sender.poll_report(200 * NS_PER_MS)]
 
 
-class Receiving:
-    """A receiver that is given packets and reports in turn."""
+class Taking:
+    """What takes octets, and seeds of them."""
 
     inputs = 1000
     #: Some are whole, so that those that follow are judged by a healthy state.
-    whole = 0.2
+    whole = 0.0
 
-    def __init__(self, receiver, seeds):
-        self._receiver, self.seeds, self._now_ns = receiver, seeds, 0
+    def __init__(self, core, seeds, error=()):
+        self._core, self.seeds, self._error, self._now_ns = core, seeds, error, 0
+
+
+class Receiving(Taking):
+    """A receiver that is given packets and reports in turn."""
+
+    whole = 0.2
 
     def take(self, octets):
         self._now_ns += 3 * NS_PER_MS
-        receiver = self._receiver
+        receiver = self._core
         receiver.handle_packet(octets, self._now_ns)
         receiver.handle_report(octets, self._now_ns)
         receiver.handle_timeout(self._now_ns)
         while receiver.next_event() is not None:
             pass
         receiver.poll_feedback(self._now_ns)
+
+
+class Listening(Taking):
+    """What a sender hears of its receivers."""
+
+    whole = 0.2
+
+    def take(self, octets):
+        self._now_ns += 3 * NS_PER_MS
+        self._core.handle_feedback(octets, self._now_ns)
+
+
+class Parsing(Taking):
+    """A parser of texts or octets with one error of its own."""
+
+    def take(self, octets):
+        with contextlib.suppress(self._error):
+            self._core(octets)
 
 
 def video():
@@ -80,33 +104,9 @@ def voice():
     return Receiving(receiver, packets(111, picture=False))
 
 
-class Listening:
-    """What a sender hears of its receivers."""
-
-    inputs = 1000
-    whole = 0.2
-
-    def __init__(self):
-        self._listener, self._now_ns = PictureLossListener(ssrc=7), 0
-        self.seeds = [bytes(RtcpRrPacket(9)) + bytes(RtcpPsfbPacket(1, 9, 7))]
-
-    def take(self, octets):
-        self._now_ns += 3 * NS_PER_MS
-        self._listener.handle_feedback(octets, self._now_ns)
-
-
-class Parsing:
-    """A parser of texts or octets with one error of its own."""
-
-    inputs = 1000
-    whole = 0.0
-
-    def __init__(self, parse, seeds, error):
-        self._parse, self.seeds, self._error = parse, seeds, error
-
-    def take(self, octets):
-        with contextlib.suppress(self._error):
-            self._parse(octets)
+def listening():
+    seeds = [bytes(RtcpRrPacket(9)) + bytes(RtcpPsfbPacket(1, 9, 7))]
+    return Listening(PictureLossListener(ssrc=7), seeds)
 
 
 def text_of(octets):
@@ -173,7 +173,7 @@ def y4m():
         reader.handle_end()
 
     head = b"YUV4MPEG2 W4 H2 F30:1 Ip A1:1 C420jpeg XCOLORRANGE=FULL\n"
-    return Parsing(parse, [head + (b"FRAME\n" + bytes(12)) * 3], ())
+    return Parsing(parse, [head + (b"FRAME\n" + bytes(12)) * 3])
 
 
 #: Values in the place of others in a table.
@@ -277,7 +277,7 @@ def film():
     return Playing("a.film", opened, (empty_picture(64, 48),), writers)
 
 
-KINDS = [video, voice, Listening, sdp, whip, mcap, y4m, toml, wav, film]
+KINDS = [video, voice, listening, sdp, whip, mcap, y4m, toml, wav, film]
 
 
 @pytest.mark.rule("7")

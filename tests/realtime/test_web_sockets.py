@@ -19,7 +19,7 @@ PATIENCE_S = 20
 GARBAGE = b"garbage"
 
 
-def asked(*paths, host=None, words=None):
+def asked(*paths, words):
     """Status, header fields and text of each answer, and what was counted."""
 
     async def run():
@@ -35,12 +35,11 @@ def asked(*paths, host=None, words=None):
         site = WebSite(listener, seat="space", others=["panel"])
 
         async def handle(request, found):
-            return site.file(request, found, words or {})
+            return site.file(request, found, words)
 
         async def close():
             pass
 
-        fields = {} if host is None else {"Host": host}
         found = []
         async with (
             asyncio.timeout(PATIENCE_S),
@@ -49,17 +48,20 @@ def asked(*paths, host=None, words=None):
         ):
             for path in paths:
                 url = f"http://127.0.0.1:{listener.port}{path}"
-                async with client.get(url, headers=fields) as answer:
+                async with client.get(url) as answer:
                     found.append((answer.status, dict(answer.headers), await answer.text()))
         return found, site.refused
 
     return asyncio.run(run())
 
 
-def test_a_page_names_its_files_by_its_own_token_and_they_are_served():
-    found, refused = asked("/space?token=viewer", "/viewer/static/space.css", words={"<body": "<B"})
-    (status, fields, page), (css_status, css_fields, _) = found
-    assert (status, css_status, refused) == (200, 200, {})
+def test_a_page_names_its_files_by_its_own_token_and_strangers_are_counted():
+    # Who is refused: test_page_server.py.
+    paths = ("/space?token=viewer", "/viewer/static/space.css", "/space?token=x", "/viewer/ws2")
+    found, refused = asked(*paths, words={"<body": "<B"})
+    assert [status for status, _, _ in found] == [200, 200, 403, 404]
+    assert refused == {"token": 1}
+    (_, fields, page), (_, css_fields, _), *_ = found
     for part in ('<base href="/viewer/static/" />', "<B", '<dialog id="keys"'):
         assert part in page
     assert page.startswith("<!doctype html>")
@@ -67,22 +69,6 @@ def test_a_page_names_its_files_by_its_own_token_and_they_are_served():
     assert fields["Content-Type"] == "text/html; charset=utf-8"
     assert css_fields["Content-Type"] == "text/css; charset=utf-8"
     assert "default-src 'none'" in fields["Content-Security-Policy"]
-
-
-@pytest.mark.parametrize(
-    ("paths", "host", "status", "counted"),
-    [
-        (["/space", "/space?token=x", "/x/static/space.css"], None, 403, {"token": 3}),
-        (["/space?token=viewer"], "elsewhere.example", 403, {"host": 1}),
-        ([f"/viewer/{name}" for name in ("static/none.js", "static/a.json", "ws2")], None, 404, {}),
-    ],
-)
-def test_strangers_are_refused_and_counted_and_what_is_no_file_is_not_found(
-    paths, host, status, counted
-):
-    found, refused = asked(*paths, host=host)
-    assert [each for each, _, _ in found] == [status] * len(paths)
-    assert refused == counted
 
 
 class Server:

@@ -49,7 +49,6 @@ REFUSALS = {
         "select static --session mine": "no session mine",
         "select static --session ../../etc": "session",
         "topology": "--setup",
-        "topology --setup nothing": "spacejustin or taskboard, or a file",
     },
     "stream": {
         "": "--setup",
@@ -59,7 +58,6 @@ REFUSALS = {
         "TASKBOARD --sources left=x": "--help",
         "TASKBOARD --source head=scene:head": "left, right, static",
         "TASKBOARD --source left": "NAME=SPEC",
-        "TASKBOARD --source =x": "NAME=SPEC",
         "TASKBOARD --source left=missing.mp4": "missing.mp4",
         "TASKBOARD --source left=notes.txt": "notes.txt",
         "TASKBOARD --source left=/proc/self": "/proc/self",
@@ -139,7 +137,6 @@ REFUSALS = {
         "TASKBOARD --files /proc/none": "--files /proc/none",
         "TASKBOARD --service ssh=2222": "give --files DIR, too",
         "TASKBOARD --service ssh": "NAME=PORT",
-        "TASKBOARD --service ssh=70000": "NAME=PORT",
         "TASKBOARD --service ssh=2222 --service ssh=2223": "ssh is given twice",
         "TASKBOARD --service-allow ../a=127.0.0.1:22": "NAME=HOST:PORT",
         "TASKBOARD --files . --service ssh=2222": "give --service-allow ssh=HOST:PORT, too",
@@ -157,13 +154,9 @@ REFUSALS = {
     "simulate": {
         "--setup spacejustin --seconds 1 --plan two_hands.toml": "handshake needs two hands",
         "--replay alien.mcap": "alien.mcap: it is not an MCAP file",
-        "--replay foreign.mcap": "was written by other 1.0",
-        "--replay newer.mcap": f"reads up to format {FORMAT}: install a newer one",
     },
     "link": {
         "": "--setup",
-        "--setup nosuch": "spacejustin or taskboard, or a file",
-        "TASKBOARD --radio nosuch": "clean, iss-pass, iss-overhead, geo",
         "TASKBOARD --seconds 0": "above 0",
         "TASKBOARD --report missing/r.json": "--report missing/r.json",
         "TASKBOARD --base-port 80": "1024",
@@ -226,7 +219,6 @@ REFUSALS = {
         "TONE --sdp /nowhere/x.sdp": "--sdp",
         "TONE --report /nowhere/x.json": "--report",
         "FILM --size 640": "WIDTHxHEIGHT",
-        "FILM --size axb": "WIDTHxHEIGHT",
         "FILM --size 641x480": "even",
     },
     "receive": {
@@ -272,7 +264,6 @@ REFUSALS = {
     "export": {
         "a.mcap": "give at least one of",
         "a.mcap --csv x --mat73": "give --mat OUT.mat, too",
-        "a.mcap --mat /nowhere/out.mat": "cannot be written",
         "a.mcap --mat /proc/out.mat": "cannot be written",
         "a.mcap --mat .": "is a directory",
         "a.mcap --mat a.mcap --overwrite": "is the recording itself",

@@ -15,7 +15,7 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import PageRequest, Seat
+from pipelines.seats.seat import MOST_ACTING, MOST_VIEWERS, PageRequest, Seat
 from pipelines.seats.texts import ExerciseRequest, FetchRequest, RecordingRequest
 from pipelines.session.access import Role
 from pipelines.session.session_switch import Order
@@ -240,6 +240,15 @@ def test_a_viewer_watches_only(space):
     assert viewer.sent() == [struct.pack("<B7xdq", 5, 2.5, 3)]
 
 
+@pytest.mark.rule("4")
+def test_viewers_are_bounded_and_keep_nobody_out_who_may_act(space):
+    for role, most in ((Role.VIEWER, MOST_VIEWERS), (Role.OPERATOR, MOST_ACTING)):
+        for _ in range(most):
+            assert not space.seat.is_full(role)
+            space.open(role)
+        assert space.seat.is_full(role)
+
+
 def test_a_command_is_answered_when_the_joystick_has_carried_it_out(space):
     def tell(answered, refusal):
         status = JoystickStatus(
@@ -418,7 +427,10 @@ def test_figures_pass_unchanged_and_who_joins_gets_all_events(space):
 def test_ground_control_sees_who_holds_the_handle_in_space(ground):
     page = ground.open(unread=False)
     for number, holder in enumerate((None, 4), 1):
-        ground.seat.handle_figures(figures(number, **{"hand.holder": holder}), 0)
+        told = {"hand.holder": holder, "processes.selector.selected": "head"}
+        ground.seat.handle_figures(figures(number, **told), 0)
+        # The camera is told by its own selector.
+        assert ground.seat.camera != "head"
         ground.seat.handle_time(number * NS_PER_S)
         assert page.texts("state")[-1]["hand"] == FREE | {"holder": holder}
 
