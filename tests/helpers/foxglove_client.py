@@ -13,8 +13,10 @@ from running_session import PATIENCE_S, eventually
 
 CLIENT = ROOT / "tests" / "web" / "foxglove_client.mjs"
 PACKAGE = ROOT / ".ci" / "web" / "node_modules" / "@foxglove" / "ws-protocol"
-lacking = None if shutil.which("node") and PACKAGE.is_dir() else "run npm install in .ci/web"
-needs_client = pytest.mark.skipif(lacking is not None, reason=str(lacking))
+needs_client = pytest.mark.skipif(
+    not (shutil.which("node") and PACKAGE.is_dir()),
+    reason="@foxglove/ws-protocol: npm --prefix .ci/web install",
+)
 
 
 class FoxgloveClient:

@@ -12,7 +12,7 @@ from places import ROOT
 SAMPLES = ROOT / "samples" / "monitoring"
 PROMETHEUS = shutil.which("prometheus")
 needs_prometheus = pytest.mark.skipif(
-    PROMETHEUS is None, reason="Debian's prometheus is not installed"
+    PROMETHEUS is None, reason="prometheus: apt-get install prometheus"
 )
 
 

@@ -10,8 +10,6 @@ from benchmarks.video.targets import DEFAULT
 from pipelines.bench.video.figures import OURS
 from pipelines.cli import main
 
-pytestmark = pytest.mark.realtime
-
 
 @pytest.mark.parametrize("name", [OURS, DEFAULT])
 def test_a_short_run_gives_figures(name, tmp_path, capsys):

@@ -4,7 +4,7 @@ import contextlib
 import socket
 import threading
 
-from janus_room import free_port
+from common import free_port
 from running_end import RunningEnd
 from running_session import eventually, free_pair
 

@@ -9,10 +9,7 @@ from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import pytest
-from janus_room import free_port
-from running_session import COMMAND, PATIENCE_S, alive, eventually
-
-pytestmark = pytest.mark.realtime
+from running_session import COMMAND, PATIENCE_S, alive, eventually, tcp_port
 
 _SHORT = 'cameras = ["head"]\npartner_arm = "{arm}"\n[uplink_video]\ncap_kbps = 85\n'
 
@@ -101,7 +98,7 @@ def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start
 
 
 def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_path):
-    token, port = tmp_path / "token", free_port()
+    token, port = tmp_path / "token", tcp_port()
     token.write_text("word-of-the-partner")
     session = start_lab("second", "--rtc", str(port), "--rtc-token-file", str(token))
     pids = session.pids()

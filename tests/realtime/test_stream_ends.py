@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from janus_room import free_port
+from common import free_port
 
 import kontur_av as av
 from kontur_av.media import Quality

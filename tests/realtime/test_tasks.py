@@ -4,7 +4,6 @@ import os
 import signal
 
 import numpy as np
-import pytest
 from mcap.reader import make_reader
 from running_session import alive, eventually
 
@@ -12,8 +11,6 @@ from pipelines.hand.haptic_trace import DEAD_MAN
 from pipelines.recording.messages import unpack_haptics
 from pipelines.session.mission_messages import ExperimentShown, RobotStatus, unpack
 from pipelines.session.topology import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
-
-pytestmark = pytest.mark.realtime
 
 #: Rows in which what was led before may still settle.
 _SETTLE_ROWS = 200
@@ -105,7 +102,7 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
     plan, runs = tmp_path / "plan.toml", tmp_path / "runs"
     plan.write_text(PLAN)
     (tmp_path / "short.xml").write_text(TASKS)
-    session = start("spacejustin", "--radio", "clean", "--plan", str(plan), "--runs", str(runs))
+    session = start("taskboard", "--radio", "clean", "--plan", str(plan), "--runs", str(runs))
     pids = session.pids()
     with session.bus(monkeypatch) as bus:
         watched = Watched(bus)
