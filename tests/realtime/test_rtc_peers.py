@@ -14,17 +14,15 @@ from kontur_av.errors import ConfigError
 from kontur_av.rtp.annex_b import split_annex_b
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import Programme
-from pipelines.partner.samples import SamplePeer
 from pipelines.partner.server import RtcServer
 from pipelines.partner.whip import Keeper, WhipClient
 from pipelines.session.page_sockets import PageListener
-from telepresence.haptics.sample import SAMPLE_OCTETS
 
 TOKEN = "word-of-the-partner"
 
 
 @contextlib.asynccontextmanager
-async def serving(handle=None, samples=None):
+async def serving(handle=None):
     """A server with one programme; yields it, the programme and the base of its addresses."""
     clock = MonotonicClock()
     with socket.create_server(("127.0.0.1", 0)) as bound:
@@ -46,7 +44,6 @@ async def serving(handle=None, samples=None):
             [programme],
             clock=clock,
             handle=handle,
-            samples=samples,
         )
         await server.start()
         try:
@@ -162,53 +159,5 @@ def test_strangers_and_nonsense_are_answered_and_the_partner_still_comes():
                 await until(lambda: server.peers and server.peers[0].connected)
                 await send(units, programme.send_unit, programme.send_opus)
                 await until(lambda: len(pictures(watched)) == 20)
-
-    asyncio.run(run())
-
-
-class Robot:
-    """What a partner's joystick drives."""
-
-    def __init__(self):
-        self.joined = self.left = 0
-        self.samples = []
-        self.handle = self.samples.append
-
-    def join(self, peer):
-        self.joined += 1
-
-    def leave(self):
-        self.left += 1
-
-
-@contextlib.asynccontextmanager
-async def joystick(url):
-    async with WhipClient(f"{url}/haptics", token=TOKEN) as client:
-        peer = SamplePeer(IceServers(), lambda _: None)
-        await peer.accept(await client.post(await peer.offer()))
-        running = asyncio.create_task(peer.run())
-        try:
-            await until(lambda: peer.connected)
-            yield peer
-        finally:
-            await peer.close()
-            await running
-
-
-def test_a_newer_joystick_takes_the_place_of_the_older():
-    async def run():
-        robot = Robot()
-        async with serving(samples=robot) as (server, _, url), joystick(url) as older:
-            older.send(bytes(SAMPLE_OCTETS))
-            await until(lambda: robot.samples)
-            assert (robot.joined, robot.left, server.peers) == (1, 0, [])
-            async with joystick(url) as newer:
-                await until(lambda: robot.left == 1)
-                assert robot.joined == 2
-                newer.send(bytes(SAMPLE_OCTETS))
-                await until(lambda: len(robot.samples) == 2)
-                assert server.hand is not None
-            await until(lambda: robot.left == 2)
-            assert server.hand is None
 
     asyncio.run(run())

@@ -86,18 +86,6 @@ def test_no_writer_means_no_picture_and_no_busy_loop(fifo):
     source.close()
 
 
-def test_a_picture_is_stamped_when_it_arrives(fifo):
-    source = opened(fifo)
-    before_ns = CLOCK.now_ns()
-    writer = write_later(fifo, [y4m_header(*SIZE), *(y4m_picture(*SIZE, k) for k in (50, 90, 130))])
-    picture = empty_picture(*SIZE)
-    stamps = [source.read(picture, 2 * NS_PER_S) for _ in range(3)]
-    assert [s.sequence for s in stamps] == [0, 1, 2]
-    assert before_ns < stamps[0].capture_ns < stamps[1].capture_ns < stamps[2].capture_ns
-    assert (planes(picture)[0] == 130).all()
-    writer.join()
-
-
 def test_the_writer_leaves_and_returns_with_another_size(fifo):
     clock = CountedClock()
     source = opened(fifo, clock=clock)
