@@ -15,7 +15,6 @@ from mcap.records import Metadata
 from running_session import COMMAND, PATIENCE_S, assert_sound, eventually
 from xtce_decoder import decoded
 
-from kontur_av.clock import NS_PER_S, MonotonicClock
 from pipelines.cli import main
 from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.messages import RecordedEvent, RecordedPacket, unpack, unpack_haptics
@@ -24,7 +23,7 @@ from telepresence.haptics.device.states import JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import is_packet
 
-pytestmark = pytest.mark.realtime
+SIDES = ("sent", "received")
 
 
 def counted(path):
@@ -59,117 +58,113 @@ def record(session, *words):
     )
 
 
+def parts_of(path):
+    """The parts of a recording in their order."""
+    return [path, *sorted(path.parent.glob(f"{path.stem}-*.mcap"))]
+
+
 def test_the_file_has_what_the_report_says(start, tmp_path):
     path = tmp_path / "run.mcap"
-    session = start("spacejustin", "--record", str(path), "--link-frames")
+    session = start("spacejustin", "--record", str(path), "--link-frames", "--part-mb", "1")
     session.wait_for_flow()
     assert session.select("head").returncode == 0
     busy = record(session, tmp_path / "other.mcap")
     _, told = busy.stderr.splitlines()
     assert busy.returncode == 2 and str(path) in told
     assert not (tmp_path / "other.mcap").exists()
-    eventually(lambda: path.stat().st_size > 1_500_000, "some seconds in the file")
+    eventually((tmp_path / "run-2.mcap").exists, "a second part after 1 MB")
+    session.wait_for_flow()
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
     assert_sound(report)
-    found = counted(path)
+    found = sum(map(counted, parts_of(path)), Counter())
     assert found == kept(report)
+    scans = [scanned(part) for part in parts_of(path)]
+    assert all(scan.figures.sound for scan, _, _ in scans)
+
+    def octets(topic):
+        return [
+            each.message.data
+            for _, messages, _ in scans
+            for each in messages
+            if each.channel.topic == topic
+        ]
+
     for name in ("uplink_video", "downlink_video"):
         assert found[f"/{name}/sent"] == found[f"/{name}/sent/facts"] > 0
-        assert found[f"/{name}/received"] > 0
-    for way in ("up/sent", "up/received", "down/sent", "down/received"):
-        assert found[f"/haptic/{way}"] > 0
-    for way in ("uplink", "downlink"):
-        assert found[f"/{way}_voice/sent"] > 0 and found[f"/{way}_voice/received"] > 0
-        for what in ("sent", "received", "frames/sent", "frames/received"):
-            assert found[f"/link/{way}/{what}"] > 0, (way, what)
+    for topic in (
+        *("/uplink_video/received", "/downlink_video/received", "/camera/static"),
+        *(f"/haptic/{way}" for way in ("up/sent", "up/received", "down/sent", "down/received")),
+        *(f"/{way}_voice/{what}" for way in ("uplink", "downlink") for what in SIDES),
+        *(f"/link/{way}/{what}" for way in ("uplink", "downlink") for what in SIDES),
+        *(f"/link/{way}/frames/{what}" for way in ("uplink", "downlink") for what in SIDES),
+    ):
+        assert found[topic] > 0, topic
     for above, below in (("space", "ground"), ("ground", "space")):
         assert 0 < found[f"/telemetry/{below}/received"] <= found[f"/telemetry/{above}/sent"]
     assert 0 < found["/telecommand/ground/received"] <= found["/telecommand/space/sent"]
-    texts = [
-        unpack(RecordedEvent, each.message.data).text
-        for each in scanned(path)[1]
-        if each.channel.topic == "/events"
-    ]
-    assert any("head" in text for text in texts), texts
+    assert any("head" in unpack(RecordedEvent, data).text for data in octets("/events"))
     # The telemetry that came down is read by a decoder of others.
-    packets = [
-        unpack(RecordedPacket, each.message.data).data
-        for each in scanned(path)[1]
-        if each.channel.topic == "/telemetry/ground/received"
-    ]
-    telemetry = [packet for packet in packets if is_packet(packet)]
+    packets = [unpack(RecordedPacket, data).data for data in octets("/telemetry/ground/received")]
+    telemetry = b"".join(packet for packet in packets if is_packet(packet))
     states = [
-        packet
-        for packet in decoded(built_in_dictionary(), b"".join(telemetry), tmp_path)
+        packet["joystick_state"]
+        for packet in decoded(built_in_dictionary(), telemetry, tmp_path)
         if "joystick_state" in packet and packet["SERVICE"] == 3
     ]
-    assert states and {one["joystick_state"] for one in states} <= {
-        one.words for one in JoystickState
-    }
-    # The plain count: each sample of the hand has a number, and none is missing.
-    numbers = np.concatenate(
-        [
-            unpack_haptics(each.message.data)["sequence"]
-            for each in scanned(path)[1]
-            if each.channel.topic == "/haptic/down/sent"
-        ]
-    )
+    assert states and {*states} <= {one.words for one in JoystickState}
+    # Each sample of the hand has a number, and none is missing.
+    rows = [unpack_haptics(data)["sequence"] for data in octets("/haptic/down/sent")]
+    numbers = np.concatenate(rows)
     assert (np.diff(numbers[numbers >= 0]) % 65_536 == 1).all()
-    assert found["/camera/static"] > 0
-    assert scanned(path)[0].figures.sound
     films, tables = tmp_path / "films", tmp_path / "tables"
     assert main(["export", str(path), "--mkv", str(films), "--csv", str(tables)]) == 0
-    with (tables / "haptic_down_sent.csv").open() as rows:
-        assert sum(1 for _ in rows) - 1 == len(numbers)
+    with (tables / "haptic_down_sent.csv").open() as lines:
+        assert sum(1 for _ in lines) - 1 == len(numbers)
     with av.open(str(films / "downlink_video_sent.mkv")) as film:
         packets = Counter(packet.stream.type for packet in film.demux() if packet.size)
-    assert packets["video"] == found["/downlink_video/sent"]
+    # A part may begin with a key picture that was added, of a picture that is there already.
+    sent = found["/downlink_video/sent"]
+    assert sent - len(scans) < packets["video"] <= sent
     assert packets["audio"] == found["/downlink_voice/sent"]
 
 
 def test_a_killed_recorder_goes_on_in_a_new_part(start, tmp_path):
-    path, clock = tmp_path / "run.mcap", MonotonicClock()
+    path, second = tmp_path / "run.mcap", tmp_path / "run-2.mcap"
     session = start("taskboard", "--record", str(path))
     pids = session.pids()
     session.wait_for_flow()
-    eventually(lambda: path.stat().st_size > 200_000, "some seconds in the file")
-    killed_ns = clock.now_ns()
+    eventually(lambda: path.stat().st_size > 100_000, "a second in the file")
     os.kill(pids["recorder"], signal.SIGKILL)
-    second = tmp_path / "run-2.mcap"
-    eventually(lambda: second.exists() and second.stat().st_size > 200_000, "a second part")
+    eventually(lambda: second.exists() and second.stat().st_size > 100_000, "a second part")
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
-    assert report["processes"]["recorder"]["restarts"] == 1
     assert report["recorder"]["parts"] == 2
     scan, messages, facts = scanned(path)
     assert not scan.figures.closed and not scan.figures.orphans
-    last_ns = max(each.message.log_time for each in messages) - facts.wall_ns + facts.session_ns
-    assert killed_ns - last_ns < NS_PER_S
     later = scanned(second)[2]
     assert later.part == 2
     assert later.wall_ns - later.session_ns == facts.wall_ns - facts.session_ns
     both = Counter(each.channel.topic for each in messages) + counted(second)
     # The killed one's last report may be half a second old.
     assert all(both[name] >= count for name, count in kept(report).items())
-    assert not (tmp_path / "run-3.mcap").exists()
 
 
 def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
     session = start("taskboard")
-    session.pids()
     session.wait_for_flow()
     first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
-    done = record(session, first, "--seconds", "1.5")
+    done = record(session, first, "--seconds", "1")
     assert done.returncode == 0, done
     assert re.fullmatch(r"session taskboard-\d+\n", done.stderr)
     assert scanned(first)[0].figures.sound
     again = record(session, first, "--seconds", "1")
     assert again.returncode == 2 and "--overwrite" in again.stderr
-    replaced = record(session, first, "--seconds", "1", "--overwrite")
+    replaced = record(session, first, *["--seconds", "1.5", "--part-seconds", "1", "--overwrite"])
     assert replaced.returncode == 0, replaced.stdout + replaced.stderr
+    assert [scanned(part)[2].part for part in parts_of(first)] == [1, 2]
     nowhere = record(session, tmp_path / "none" / "c.mcap")
     assert nowhere.returncode == 2 and nowhere.stderr.count("\n") == 1
     # A terminal that is killed does not end the session, but its recording.
@@ -184,8 +179,7 @@ def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
-    assert report["recorder"]["parts"] == 3
-    assert sum(counted(first).values()) > 0
+    assert report["recorder"]["parts"] == 4
 
 
 def test_a_full_disk_does_not_end_the_session(start, tmp_path, monkeypatch):
@@ -221,27 +215,22 @@ def test_a_full_disk_does_not_end_the_session(start, tmp_path, monkeypatch):
     assert total == kept(report)
 
 
-def without_session(tmp_path, *words):
-    """Run a command where no session is; return what it says."""
-    environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    done = subprocess.run(
-        [*COMMAND, *map(str, words)], capture_output=True, text=True, env=environment, timeout=60
-    )
-    assert done.returncode == 2
-    return done.stderr
-
-
 @pytest.mark.parametrize("words", [(), ("--seconds", "1")], ids=["stream", "record"])
-def test_without_a_session_nothing_is_recorded(tmp_path, words):
+def test_without_a_session_nothing_is_recorded(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     path = tmp_path / "a.mcap"
-    assert "no session is running" in without_session(tmp_path, "record", path, *words)
+    assert main(["record", str(path), *words]) == 2
+    assert "no session is running" in capsys.readouterr().err
     assert not path.exists()
 
 
-def test_without_a_directory_or_over_a_file_no_recorded_session_begins(tmp_path):
+def test_without_a_directory_or_over_a_file_no_recorded_session_begins(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
     kept_file = tmp_path / "kept.mcap"
     kept_file.write_bytes(b"kept")
     for file in (kept_file, tmp_path / "none" / "a.mcap", tmp_path):
-        said = without_session(tmp_path, "stream", "--setup", "taskboard", "--record", file)
-        assert said.count("\n") == 1, said
+        assert main(["stream", "--setup", "taskboard", "--record", str(file)]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
     assert kept_file.read_bytes() == b"kept"
