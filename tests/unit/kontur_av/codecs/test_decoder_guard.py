@@ -34,6 +34,7 @@ def shown(decoder, units):
     return [len(decoder.decode(unit, number)) for number, unit in enumerate(units)]
 
 
+@pytest.mark.rule("7")
 @both
 @pytest.mark.parametrize(
     "said",

@@ -130,21 +130,6 @@ def test_a_steady_voice_is_played_at_a_steady_pace_across_wrap_around():
     assert line.counts.late == 0
 
 
-def test_jitter_raises_the_delay_until_nothing_is_late():
-    line = Line(window_ns=5 * NS_PER_S)
-    blocks = line.run(jittery(random.Random(1), 1500, 40))
-    assert heard(blocks)[750:1450].count(None) == 0
-    assert 35 * MS <= line.buffer.delay_ns <= 50 * MS
-
-
-def test_the_delay_goes_down_again_and_no_block_is_skipped():
-    line = Line(window_ns=5 * NS_PER_S)
-    blocks = line.run(steady(1500, lambda n: 60 * (n == 50)))
-    assert real(blocks) == [n for n in range(1500) if n != 50]
-    assert line.buffer.delay_ns <= 15 * MS
-    assert min(steps(blocks)) >= BLOCK_NS * 39 // 40 - 1
-
-
 def test_rare_stalls_do_not_raise_the_delay():
     arrivals = bunched(1000, *range(50, 1000, 250))
     blocks = Line().run(arrivals, until_ns=arrivals[-1] + 5 * MS)
@@ -169,14 +154,6 @@ def test_a_missing_delay_after_a_stall_is_inserted_at_once():
     blocks = line.run(arrivals, until_ns=arrivals[-1] + MS)
     assert line.buffer.delay_ns >= 40 * MS
     assert line.counts.inserted >= 1 and max(gaps(blocks)) < ROUNDING_NS
-
-
-def test_a_longer_path_costs_only_some_blocks():
-    arrivals = steady(200, lambda n: 60 * (n >= 100))
-    blocks = Line().run(arrivals, until_ns=arrivals[-1] + MS)
-    missing = set(range(195)) - set(heard(blocks))
-    assert missing and max(missing) <= 104
-    assert max(gaps(blocks)) < ROUNDING_NS
 
 
 def test_a_queue_before_the_start_does_not_delay_later_blocks():
@@ -341,6 +318,7 @@ def test_silence_is_concealed_briefly_and_then_the_voice_continues():
     assert (line.counts.concealed, line.buffer.poll_timeout()) == (9, None)
 
 
+@pytest.mark.rule("4")
 def test_after_a_stall_the_oldest_is_dropped_and_the_delay_stays_bounded():
     line = Line(max_delay_ns=200 * MS)
     # Blocks 50..124 arrive at once, up to 1.5 s late.
@@ -350,6 +328,7 @@ def test_after_a_stall_the_oldest_is_dropped_and_the_delay_stays_bounded():
     assert heard(blocks)[-105:-5] == list(range(200, 300))
 
 
+@pytest.mark.rule("4")
 def test_the_buffer_is_bounded():
     line = Line(max_blocks=10, min_delay_ns=NS_PER_S, max_delay_ns=2 * NS_PER_S)
     line.run(steady(30), until_ns=30 * BLOCK_NS)

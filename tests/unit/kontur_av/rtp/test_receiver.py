@@ -35,12 +35,6 @@ def begun(count=2, source=None, **changes):
     return receiver
 
 
-def test_packets_come_out_across_the_end_of_their_numbers():
-    receiver = make_receiver()
-    assert numbers(feed(receiver, singles(20), FRAME_NS)) == list(range(20))
-    assert counted(receiver) == {"packets": 20, "sources": 1}
-
-
 def test_loss_is_counted_once_the_gap_is_given_up():
     receiver, packets = make_receiver(), singles(6)
     assert numbers(feed(receiver, picked(packets, 0, 1, 4))) == [0, 1]
@@ -125,13 +119,6 @@ def test_the_wait_for_late_packets_follows_them():
     receiver.handle_packet(packets[43], 3 * NS_PER_S)
     assert receiver.poll_timeout() == 3 * NS_PER_S + 140 * MS
     assert receiver.counts.rtp_late == 1
-
-
-def test_a_source_is_accepted_after_two_packets_and_both_come_out():
-    receiver = make_receiver()
-    first, second = singles(2)
-    assert (feed(receiver, [first]), counted(receiver)) == ([], {})
-    assert [event.restart for event in feed(receiver, [second])] == [True, False]
 
 
 def test_the_first_packets_of_a_source_come_out_in_their_order():
@@ -281,6 +268,7 @@ def test_a_report_vouches_for_200_ms_and_silence_is_500_ms():
         assert receiver.ssrc == ssrc
 
 
+@pytest.mark.rule("7")
 def test_garbage_is_counted():
     receiver = make_receiver()
     assert receiver.other_payload_type is None

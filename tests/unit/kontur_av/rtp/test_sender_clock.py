@@ -91,6 +91,7 @@ def test_only_the_source_keeps_its_report_and_one_candidate():
     assert receiver.counts.rtcp_reports == 2
 
 
+@pytest.mark.rule("5")
 @pytest.mark.parametrize("octets", [100, 3000])
 def test_the_receiver_knows_when_a_picture_was_captured_across_wrap_around(octets):
     # Two clocks of their own, which know the same Unix time.

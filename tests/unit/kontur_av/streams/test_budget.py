@@ -41,11 +41,7 @@ def largest(releases, window_ns):
 
 
 steps = st.lists(
-    st.tuples(
-        st.integers(0, 120 * MS),
-        st.lists(st.integers(1, 600), max_size=6),
-        st.booleans(),
-    ),
+    st.tuples(st.integers(0, 120 * MS), st.lists(st.integers(1, 600), max_size=6), st.booleans()),
     min_size=1,
     max_size=60,
 )
@@ -107,6 +103,7 @@ def test_packets_after_an_idle_time_are_spaced_as_the_channel_carries_them():
     assert pacer.released.last_ns == idle_ns + left[-1]
 
 
+@pytest.mark.rule("4")
 def test_the_queue_tells_its_depth_and_its_oldest_age():
     pacer = Pacer(cap_bps=80_000)
     assert pacer.oldest_age_ns(7 * MS) == 0
@@ -248,6 +245,7 @@ def test_an_old_picture_is_replaced():
     assert (clock.captured, clock.refused) == (2, 1)
 
 
+@pytest.mark.rule("4")
 @pytest.mark.parametrize(("age_ms", "waits"), [(7, False), (8, True)])
 def test_a_picture_may_be_22_parts_of_a_hundred_of_a_period_old(age_ms, waits):
     clock, _ = scheduler(300)

@@ -42,13 +42,11 @@ def test_what_is_no_picture_or_no_block_is_refused():
             end.send(GREY[:64])
     with pytest.raises(av.ConfigError, match="closed"):
         end.send(GREY)
-    with (
-        av.SoundSender(HERE, cap_bps=24_000) as end,
-        pytest.raises(av.ConfigError, match="int16"),
-    ):
+    with av.SoundSender(HERE, cap_bps=24_000) as end, pytest.raises(av.ConfigError, match="int16"):
         end.send(np.zeros(480, np.int16))
 
 
+@pytest.mark.rule("6")
 def test_what_cannot_work_is_refused_in_one_line(tmp_path):
     for options, reason in (
         ({"fps": 0}, "fps 0"),

@@ -1,14 +1,7 @@
 """The receiver of pictures: stamps, damage and its healing, what it asks for."""
 
 import pytest
-from picture_stream import (
-    AHEAD_NS,
-    PERIOD_NS,
-    PictureStream,
-    coded,
-    make_receiver,
-    make_sender,
-)
+from picture_stream import AHEAD_NS, PERIOD_NS, PictureStream, coded, make_receiver, make_sender
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.h26x import recovery_point
@@ -17,6 +10,7 @@ from kontur_av.rtp.wire import pack_rtp
 from kontur_av.streams.paced_sender import UnitSent
 
 
+@pytest.mark.rule("5")
 def test_pictures_arrive_with_stamps_of_the_receivers_clock():
     stream = PictureStream().run(range(10))
     sent = [event for event in iter(stream.sender.next_event, None) if isinstance(event, UnitSent)]
