@@ -12,12 +12,10 @@ from benchmarks.all.page import page
 from benchmarks.all.plan import LENGTHS, LIVE_RUNS, in_turn, measurements
 from benchmarks.all.records import read_record, read_records, write_record
 from benchmarks.all.run import words_of
-from benchmarks.machine import this_machine
 from kontur_av.errors import ConfigError
 from pipelines.bench import BENCHES
 from pipelines.cli import make_parser as make_command_parser
 from pipelines.report.result import Headline
-from pipelines.virtual.campaign.sessions import PACKAGES, code_digest
 
 #: Sweeps take long.
 LEFT_OUT = {"quick": {"passes"}, "full": set(), "smoke": {"passes", "tasks"}}
@@ -126,12 +124,3 @@ def test_mistakes_are_one_line(words, named, capsys):
     error = capsys.readouterr().err
     assert named in error
     assert error.count("\n") == 1
-
-
-def test_machine_and_code_are_named():
-    machine = this_machine()
-    assert machine.cores >= 1
-    assert machine.kernel.startswith("Linux")
-    assert len(code_digest()) == 16
-    # An empty tree has the digest of no text at all.
-    assert len({code_digest(), code_digest((*PACKAGES, "benchmarks")), code_digest(())}) == 3

@@ -7,11 +7,9 @@ from places import ROOT
 
 from benchmarks.haptics.cell import BAND_NAMES, Cell, kept_cells, random_cells, read_cell
 from benchmarks.haptics.channel import SampleChannel
-from benchmarks.haptics.hands import HANDS, HeldHand
-from benchmarks.haptics.plan import FREE, LAST, plan
-from benchmarks.haptics.run import TurnedBoard
+from benchmarks.haptics.hands import HANDS
+from benchmarks.haptics.plan import LAST, plan
 from kontur_av.errors import ConfigError
-from telepresence.haptics.board import Board, WallModel
 
 MS = 1_000_000
 
@@ -46,12 +44,6 @@ def test_loss_share_and_burst_length_are_as_configured(burst):
     bursts = sum(number - 1 in there for number in lost)
     # Independent losses also come in a row: 1 / (1 - loss) on average.
     assert len(lost) / bursts == pytest.approx(max(burst, 1 / 0.7), rel=0.1)
-
-
-def test_an_outage_loses_new_datagrams_but_not_those_under_way():
-    channel = SampleChannel(seed="1", delay_ns=5 * MS, dark=[(100 * MS, 200 * MS)])
-    numbers = [number for _, number in carried(channel, 300)]
-    assert numbers == [*range(100), *range(200, 300)]
 
 
 def test_a_cell_is_read_and_a_wrong_one_is_refused():
@@ -97,13 +89,6 @@ def test_random_cells_follow_from_the_seed_and_meet_every_value():
     assert min(angles) < -150 < 150 < max(angles)
 
 
-def test_taps_touch_four_times_a_second_where_other_hands_move_freely():
-    planned = plan(Cell(hand="taps"))
-    moves = [point.move_ns for point in planned.script]
-    assert moves.count(125 * MS) == 2 * 4 * 5
-    assert planned.phases.count(FREE) == 2 * 4 * 5 + 2
-
-
 def test_the_last_press_comes_after_all_blackouts_and_is_long_enough_for_an_oscillation():
     for cell in kept_cells("small.txt"):
         found = plan(cell)
@@ -114,36 +99,3 @@ def test_the_last_press_comes_after_all_blackouts_and_is_long_enough_for_an_osci
         begin = end - point.stay_ns
         assert all(until + cell.delay * MS < begin for _, until in found.down_dark + found.up_dark)
         assert end < found.end_ns
-
-
-@pytest.mark.parametrize("angle", [0.0, 30.0, -90.0, 180.0])
-def test_a_turned_wall_pushes_as_a_straight_one_does(angle):
-    board, straight = TurnedBoard(WallModel(), angle), Board(spring=None, contour=None)
-    nx, ny = Cell(angle=angle).normal
-
-    def turned(ahead, across):
-        return ahead * nx - across * ny, ahead * ny + across * nx
-
-    expected = turned(*straight.press(0.07, 0.02, 0.1, -0.05))
-    found = board.press(*turned(0.07, 0.02), *turned(0.1, -0.05))
-    assert found == pytest.approx(expected)
-    assert board.touching
-    assert board.press(*turned(0.05, 0.02), 0.0, 0.0) == (0.0, 0.0)
-
-
-def test_a_hand_that_lets_go_leaves_the_handle_and_takes_it_where_it_is():
-    planned = plan(Cell(hand="lets-go"))
-    leaves = planned.leaves
-    hand = HeldHand(HANDS["lets-go"], planned.script, leaves=leaves, seed="1")
-    while hand.place < leaves:
-        hand.force(0.08, 0.0, 0.0, 0.0, MS)
-    assert hand.force(0.02, 0.01, 0.0, 0.0, MS) == (0.0, 0.0)
-    assert hand.mass_kg == 0.0
-    assert not hand.dead_man
-    while hand.place[0] == leaves[0]:
-        hand.force(0.02, 0.01, 0.0, 0.0, MS)
-    for _ in range(5):
-        fx, fy = hand.force(0.02, 0.01, 0.0, 0.0, MS)
-    assert hand.dead_man
-    assert abs(fx) < 1.0
-    assert abs(fy) < 1.0

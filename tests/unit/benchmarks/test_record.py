@@ -4,36 +4,13 @@ import json
 from dataclasses import replace
 
 import pytest
-from recordings import WALL_NS, Step, write
 from synthetic_recording import LINK_CYCLES, LINK_NS, MS, PUBLISHED_NS, write_recording
 
 from benchmarks.__main__ import main
 from benchmarks.json_reader import JsonReader
 from benchmarks.record.agreement import compare
-from benchmarks.record.figures import Kill, RecordResult, cut, headlines, kill_of, scan_part
+from benchmarks.record.figures import Kill, RecordResult, headlines
 from benchmarks.record.recount import recount
-from kontur_av.clock import NS_PER_MS, NS_PER_S
-
-SCRIPT = [Step(100 * NS_PER_MS, 0, 0, b"x" * 900) for _ in range(30)]
-
-
-def test_a_cut_loses_less_than_a_second_and_nothing_before():
-    whole = write(SCRIPT)
-    cuts = cut(whole.octets, 0)
-    assert cuts.octets == cuts.cuts
-    assert cuts.damaged == 0
-    assert 0 < cuts.lost_s < 1
-
-
-def test_a_kill_is_measured_from_the_last_message_that_can_be_read():
-    whole = write(SCRIPT, end=False)
-    torn = scan_part(memoryview(whole.octets + b"\x06torn"))
-    assert torn.first_ns is not None and torn.last_ns is not None
-    told = [one for one in whole.told if one.log_ns - WALL_NS <= torn.last_ns]
-    assert len(told) == torn.messages < len(whole.told)
-    kill = kill_of(3 * NS_PER_S, torn, None)
-    assert kill.lost_s == (3 * NS_PER_S - torn.last_ns) / NS_PER_S
-    assert not kill.damaged and kill.gap_s is None
 
 
 def test_a_longer_loss_or_damage_is_a_failure():

@@ -11,7 +11,6 @@ from benchmarks.rtc.figures import (
     SessionRun,
     headlines,
 )
-from benchmarks.rtc.partner import read_units, write_units
 from pipelines.report.result import spread
 
 
@@ -50,9 +49,3 @@ def test_each_leg_and_each_receiver_has_its_column_and_a_loss_over_the_radio_is_
     lost = "RTP packets lost over the radio"
     assert (found[lost, NO_LEG].met, found[lost, CUT].met) == (True, False)
     assert headlines(RtcResult()) == []
-
-
-def test_units_travel_by_file(tmp_path):
-    units = [(b"one", True), (b"", False), (b"three", False)]
-    write_units(tmp_path / "units", units)
-    assert read_units(tmp_path / "units") == units

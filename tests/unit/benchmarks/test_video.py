@@ -1,11 +1,6 @@
 """`python -m benchmarks video`: targets, groups of clips and peers, without processes."""
 
-import numpy as np
-
-from benchmarks.video.bridge import through_the_channel
-from benchmarks.video.crops import detail, shot_numbers, side_by_side
 from benchmarks.video.groups import group_headlines, group_rows, group_verdicts
-from benchmarks.video.packages import PACKAGED, cached, matching
 from benchmarks.video.targets import DEFAULT, NARROW, STRANGE, TUNED, WIDE
 from pipelines.bench.video.figures import OURS, ContenderFigures, QualityMeans, judge
 
@@ -53,20 +48,6 @@ def test_relative_targets_compare_with_the_better_peer():
     assert judge({TUNED: figures()}, NARROW, 85) == []
 
 
-def test_the_clips_of_packages_are_named_once_and_verified(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert len({clip.name for clip in PACKAGED}) == len(PACKAGED) >= 3
-    path = tmp_path / "kontur-av" / "clips" / PACKAGED[0].file_name
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"another file")
-    assert cached(PACKAGED[0]) is None
-
-
-def test_numbered_pictures_of_a_package_are_ordered_by_number():
-    names = ["a/image10.pgm", "a/image2.pgm", "a/depth2.bin", "b/image1.pgm"]
-    assert matching("a/image*.pgm", names) == ["a/image2.pgm", "a/image10.pgm"]
-
-
 def test_a_group_takes_its_clips_together():
     sharp = figures(psnr_db=QualityMeans(31.0, 27.0), latency_ms={"p50": 30.0, "p99": 44.0})
     late = figures(psnr_db=QualityMeans(29.0, 25.0), latency_ms={"p50": 32.0, "p99": 46.0})
@@ -89,22 +70,3 @@ def test_a_group_takes_its_clips_together():
     assert headlines["capture to displayed, p99, worst clip"].value == 46.0
     assert headlines["PSNR, over the better peer, mean of clips"].value == 1.5
     assert group_rows([]) == []
-
-
-def test_crops_show_the_part_with_detail_and_name_an_older_picture():
-    original = np.full((480, 640), 90, np.uint8)
-    original[240:, 320:] = np.random.default_rng(1).integers(0, 256, (240, 320), np.uint8)
-    assert detail(original) == (240, 320)
-    assert shot_numbers(630, 30) == (180, 330, 480)
-    sheet = side_by_side(original, {OURS: (7, original), TUNED: (6, 255 - original)}, 7)
-    assert sheet.shape == (508, 3 * 640)
-    assert (sheet[28::2, 640:1280:2] == original[240:, 320:]).all()
-    assert (sheet[28::2, 1280::2] == 255 - original[240:, 320:]).all()
-
-
-def test_a_description_keeps_no_way_around_the_channel_and_gets_the_rate():
-    sdp = "v=0\r\nm=video 9 UDP/TLS/RTP/SAVPF 96\r\nc=IN IP4 0.0.0.0\r\na=fmtp:96 profile-id=0\r\n"
-    ways = "a=candidate:1 1 udp 1 10.0.0.1 5000 typ host\r\na=end-of-candidates\r\n"
-    lines = through_the_channel(sdp + ways, 85.0).split("\r\n")
-    least = "a=fmtp:96 profile-id=0;x-google-min-bitrate=85"
-    assert lines[1:] == [*sdp.split("\r\n")[1:3], "b=AS:85", least, ""]

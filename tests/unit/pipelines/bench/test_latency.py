@@ -4,8 +4,6 @@ import pytest
 from partial_report import partial_report
 
 from pipelines.bench.latency import judge
-from pipelines.report.charts import lead_chart
-from pipelines.report.terms import TERMS
 
 
 def spread(**changed):
@@ -55,16 +53,3 @@ def test_a_setup_without_voice_is_not_judged_by_it():
         "force",
         "uplink_video",
     ]
-
-
-def test_a_bar_is_as_long_as_its_terms_and_terms_below_0_are_left_out():
-    lead = dict.fromkeys(TERMS, 0.0) | {"camera": 60.0, "capture": 30.0, "queueing": -5.0}
-    figure = lead_chart({"one": lead | {"total": 85.0}}, {"limit": 100.0})
-    (axes,) = figure.axes
-    segments = {bar.get_label(): bar.patches[0] for bar in axes.containers}
-    assert segments["camera"].get_width() == 60
-    assert (segments["capture"].get_x(), segments["capture"].get_width()) == (60, 30)
-    assert segments["queueing"].get_width() == 0
-    assert "85.0" in [text.get_text() for text in axes.texts]
-    assert axes.get_xlim()[1] > 100
-    assert "ms" in axes.get_xlabel()

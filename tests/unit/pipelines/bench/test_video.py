@@ -1,7 +1,5 @@
 """`kontur-av bench video`: marks, channel, figures and targets, without processes."""
 
-from itertools import pairwise
-
 import cv2
 import numpy as np
 import pytest
@@ -19,18 +17,8 @@ from pipelines.bench.course.marks import (
     read_all,
     read_number,
 )
-from pipelines.bench.video.clips import Clip, crop_size, film, led_in, scene
-from pipelines.bench.video.figures import (
-    BEST_DB,
-    largest_bps,
-    latest,
-    mean_bps,
-    percentiles,
-    psnr_db,
-    shown,
-    ssim,
-    summarise,
-)
+from pipelines.bench.video.clips import film, scene
+from pipelines.bench.video.figures import largest_bps, latest, mean_bps, percentiles, shown
 
 MS, S = 1_000_000, 1_000_000_000
 WIDTH, HEIGHT = 640, 480
@@ -96,13 +84,6 @@ def test_numbers_of_pictures_follow_from_those_that_can_be_read(squares, capture
     assert read[:3] == found[:3] and len(read) == len(found)
 
 
-def test_a_half_coded_number_gets_the_best_fit():
-    before, after = seen(40).astype(int), seen(44).astype(int)
-    half = ((2 * before + 3 * after) // 5).astype(np.uint8)
-    assert read_number(half) is None
-    assert read_all([seen(40), half, seen(47)], [list(range(60))] * 3) == [40, 44, 47]
-
-
 @given(
     st.lists(st.tuples(st.integers(0, 80 * MS), st.integers(1, 1500)), min_size=1, max_size=60),
     st.integers(10_000, 1_000_000),
@@ -144,14 +125,6 @@ def test_the_payload_is_counted_without_the_header():
         assert muxed_payload_octets(bytes([first, second]) + bytes(60)) is None
 
 
-@pytest.mark.parametrize("count", [0, 2, 3, 8])
-def test_a_lead_in_goes_backwards_to_the_first_picture(count):
-    clip = Clip("", np.zeros((9, 6, 4), np.uint8), np.arange(3, 6), tuned_on=False)
-    order = led_in(clip, count).order.tolist()
-    assert order[count:] == [3, 4, 5]
-    assert order[:count] == [4, 5, 5, 4, 3, 3, 4, 5, 5, 4, 3][11 - count :]
-
-
 def test_pictures_of_the_settling_time_do_not_count_and_one_that_never_comes_is_a_gap():
     captured_ns = np.arange(1, 11) * 100 * MS
     shown_ns = {n: int(captured_ns[n]) + (30 + n) * MS for n in (0, 1, 2, 3, 5, 8, 9)}
@@ -173,29 +146,6 @@ def test_rates_percentiles_and_the_newest_picture():
     assert percentiles(range(1, 101)) == {"p50": 50, "p95": 95, "p99": 99, "max": 100}
     assert latest([1, None, 3, 6], 5) == (2, 3)
     assert latest([None, 3], 2) == (-1, None)
-
-
-def test_quality_falls_with_the_difference_of_two_pictures():
-    one = np.random.default_rng(1).integers(0, 256, (120, 160), np.uint8)
-    near, far = (np.clip(one.astype(int) + by, 0, 255).astype(np.uint8) for by in (10, 40))
-    assert psnr_db(one, one) == BEST_DB > psnr_db(one, near) > 28 > psnr_db(one, far)
-    assert ssim(one, one) == pytest.approx(1)
-    assert ssim(one, 255 - one) < 0 < ssim(one, far) < ssim(one, near) < 1
-    values = summarise([float(value) for value in range(40)])
-    assert (values.mean, values.worst) == (19.5, 0.5)
-
-
-def test_scenes_switch_cameras_every_five_seconds():
-    clip = scene(320, 240, 1, 12)
-    change = [float(np.abs(a.astype(int) - b).mean()) for a, b in pairwise(clip.pictures[:, :240])]
-    assert sorted(np.argsort(change)[-2:].tolist()) == [4, 9]
-
-
-def test_larger_pictures_are_cropped_and_not_scaled_unless_they_were_tuned_on():
-    assert crop_size((768, 576), (640, 480), scaled=False) == (640, 480)
-    assert crop_size((768, 576), (640, 480), scaled=True) == (768, 576)
-    assert crop_size((1280, 720), (640, 480), scaled=True) == (960, 720)
-    assert crop_size((1280, 400), (640, 480), scaled=False) == (532, 400)
 
 
 def test_numbered_pictures_in_one_file_become_a_clip_pixel_by_pixel(tmp_path):

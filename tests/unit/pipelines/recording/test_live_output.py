@@ -7,7 +7,6 @@ from kontur_av.errors import ConfigError
 from pipelines.recording import live_output
 from pipelines.recording.live_output import LiveWriter
 
-
 KINDS = r"write udp://HOST:PORT, .* or rtsp://HOST/NAME"
 
 

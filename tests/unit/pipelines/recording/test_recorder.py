@@ -288,19 +288,6 @@ def test_a_black_picture_takes_the_place_of_one_that_is_too_late(end, monkeypatc
     assert not any(one.dropped for one in disk.recorder.figures(None).channels.values())
 
 
-def test_what_waits_for_a_key_picture_on_a_failing_disk_is_counted():
-    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
-    disk.makes_keys = False
-    streamed(disk, 70)
-    disk.recorder.handle_fault(2, "full", 70 * NS_PER_S // 30)
-    disk.make_keys()
-    disk.pump(5 * NS_PER_S)
-    channels = disk.recorder.figures(None).channels
-    assert channels["/uplink_video/sent"].kept == 60
-    assert channels["/uplink_video/sent"].dropped == 10
-    assert channels["/uplink_video/sent/facts"].dropped == 10
-
-
 def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
     disk = Disk()
     disk.pump(0)
@@ -313,6 +300,7 @@ def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
     assert not any(loss.dropped for loss in told.losses)
 
 
+@pytest.mark.rule("4")
 def test_a_disk_that_stands_still_costs_messages_but_no_memory():
     disk, noise = Disk(most_waiting_octets=100_000), np.random.default_rng(0)
     disk.pump(0)
@@ -325,6 +313,7 @@ def test_a_disk_that_stands_still_costs_messages_but_no_memory():
     assert disk.counts("kept")["/haptic/up/sent"] == len(file["/haptic/up/sent"])
 
 
+@pytest.mark.rule("4")
 @pytest.mark.parametrize("chunks_before", [0, 3])
 def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_before):
     disk, handled = Disk(), 0
@@ -488,3 +477,16 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     frames = only(RecordedFrames, "/link/uplink/frames/sent")
     assert list(zip(frames.time_ns, frames.data, strict=True)) == gateway.frames_sent
     assert disk.counts("kept")["/link/uplink/frames/sent"] == 1
+
+
+def test_what_waits_for_a_key_picture_on_a_failing_disk_is_counted():
+    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
+    disk.makes_keys = False
+    streamed(disk, 70)
+    disk.recorder.handle_fault(2, "full", 70 * NS_PER_S // 30)
+    disk.make_keys()
+    disk.pump(5 * NS_PER_S)
+    channels = disk.recorder.figures(None).channels
+    assert channels["/uplink_video/sent"].kept == 60
+    assert channels["/uplink_video/sent"].dropped == 10
+    assert channels["/uplink_video/sent/facts"].dropped == 10

@@ -202,6 +202,7 @@ def channel_of(topic, version="1"):
     return Channel(id=1, topic=topic, message_encoding="", schema_id=0, metadata=metadata)
 
 
+@pytest.mark.rule("7")
 @pytest.mark.parametrize(("version", "facts"), [("1", {"format": "2"}), ("2", None)])
 def test_a_newer_format_is_refused(version, facts):
     newer = memoryview(begun(channel_of("/1", version), facts=facts))

@@ -177,16 +177,6 @@ def test_a_restarted_robot_has_no_latencies_of_its_previous_life(collector):
     assert [skew.p50, skew.max] == pytest.approx([37, 37], rel=0.01)
 
 
-def test_force_without_a_stamp_of_its_sender_is_ignored(collector):
-    feel(collector, 100, 2)
-    (lost_ns,) = ms(200)
-    tell(collector, "joystick", lost_ns, SampleReceivedRow(200, lost_ns))
-    feel(collector, 300, 4)
-    show(collector, "uplink_video", 310, 50)
-    collector.handle_end()
-    assert collector.skews["video_haptic"].summary_ms().max == pytest.approx(46)
-
-
 def test_a_process_has_the_time_of_its_messages_and_is_silent_since_its_last_picture():
     process = ProcessFigures()
     assert process.silent_ns(START_NS) == 0

@@ -19,6 +19,7 @@ from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.table import topology_of
 from telepresence.haptics.figures import JoystickFigures
 from telepresence.link.figures import ContactFigures, ContactWindows
+from telepresence.link.peer_path import OpenPath
 from telepresence.tasks.experiment import RunStep
 
 SETUP = BUILT_IN["taskboard"]
@@ -87,16 +88,9 @@ def test_signal_and_state_of_the_link_have_their_own_instants(session):
 
 
 def test_a_pass_begins_and_ends_when_its_orbit_says():
-    windows = ContactWindows(
-        acquisition="2026-01-01T00:00:00Z",
-        usable_from_s=None,
-        usable_to_s=None,
-        loss_s=300.0,
-        peak_s=1,
-        peak_deg=1,
-        nearest_km=1,
-        farthest_km=1,
-    )
+    unknown = dict.fromkeys(("peak_s", "peak_deg", "nearest_km", "farthest_km"), 1)
+    unknown |= {"usable_from_s": None, "usable_to_s": None}
+    windows = ContactWindows(acquisition="2026-01-01T00:00:00Z", loss_s=300.0, **unknown)
     session = Session(load_setup("taskboard", changes={"radio": "iss-pass"}, radio_start_s=-2.0))
     session.told("ground_gateway", gateway(windows=windows))
     assert session.look(1.9) == []
@@ -105,22 +99,27 @@ def test_a_pass_begins_and_ends_when_its_orbit_says():
     assert session.look(302.4) == [(302_000_000, "link", "radio: the pass ends")]
 
 
-def test_a_camera_is_told_when_it_changes(session):
-    session.told("selector", SelectorFigures(selected="stereo"))
-    assert session.look() == []
-    session.told("selector", SelectorFigures(selected="static"), at_s=1.7)
-    assert session.look(2) == [(1_700_000, "camera", "camera static selected")]
-    assert session.look(2.5) == []
-
-
-def test_a_restart_is_told_with_its_error(session):
+def test_a_camera_a_restart_and_the_joystick_are_told_once_each(session):
     def robot(restarts, error=""):
         return [ProcessNow(name="robot", restarts=restarts, running=True, error=error)]
 
+    session.told("selector", SelectorFigures(selected="stereo"))
     assert session.look(1, robot(0)) == []
-    died = (1_500_000, "process", "robot was started again: ended by SIGKILL")
-    assert session.look(1.5, robot(1, "ended by SIGKILL")) == [died]
-    assert session.look(2, robot(1, "ended by SIGKILL")) == []
+    session.told("selector", SelectorFigures(selected="static"), at_s=1.7)
+    killed = robot(1, "ended by SIGKILL")
+    assert session.look(2, killed) == [
+        (1_700_000, "camera", "camera static selected"),
+        (2_000_000, "process", "robot was started again: ended by SIGKILL"),
+    ]
+    assert session.look(2.5, killed) == []
+    unknown = dict.fromkeys(one.name for one in fields(JoystickFigures))
+    for at_s, state, reason, words in (
+        (3, "application", "", "application"),
+        (4, "halt", "dead-man released", "halt (dead-man released)"),
+    ):
+        session.told("joystick", JoystickFigures(**{**unknown, "state": state, "reason": reason}))
+        assert session.look(at_s, killed) == [(at_s * 1_000_000, "joystick", f"joystick: {words}")]
+    assert session.look(4.5, killed) == []
 
 
 def test_a_stale_picture_and_a_fresh_one_again(session):
@@ -144,18 +143,6 @@ def test_a_stale_picture_and_a_fresh_one_again(session):
     assert shown(State.STALE, after_ms + 100, 4) == []
 
 
-def test_the_joystick_says_why(session):
-    def state(name, reason):
-        unknown = dict.fromkeys(one.name for one in fields(JoystickFigures))
-        return JoystickFigures(**{**unknown, "state": name, "reason": reason})
-
-    session.told("joystick", state("application", ""))
-    assert session.look() == [(1_000_000, "joystick", "joystick: application")]
-    session.told("joystick", state("halt", "dead-man released"))
-    assert session.look(2) == [(2_000_000, "joystick", "joystick: halt (dead-man released)")]
-    assert session.look(2.5) == []
-
-
 def test_silent_inputs_and_faults(session):
     session.told("camera_left", CaptureFigures(captured_ns=NS_PER_S, source_fault="unplugged"))
     assert session.look(1) == [(1_000_000, "input", "camera_left: unplugged")]
@@ -163,18 +150,6 @@ def test_silent_inputs_and_faults(session):
     assert session.look(4.5) == []
     session.told("camera_left", CaptureFigures(captured_ns=5 * NS_PER_S), at_s=5)
     assert session.look(5) == [(5_000_000, "input", "camera_left gives again")]
-
-
-def test_an_input_is_taken_over_and_given_back(session):
-    def look(live, at_s):
-        gauges = CaptureFigures(captured_ns=round(at_s * NS_PER_S), live_source=live)
-        session.told("camera_left", gauges, at_s=at_s)
-        return session.look(at_s)
-
-    assert look("own", 1) == []
-    assert look("page", 2) == [(2_000_000, "input", "left: a page took over")]
-    assert look("page", 2.5) == []
-    assert look("own", 3) == [(3_000_000, "input", "left: its own source again")]
 
 
 def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(session):
@@ -226,3 +201,23 @@ def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
         (2_000_000, "session", words),
     ]
     assert session.look(2.5) == []
+
+
+def test_an_input_is_taken_over_and_given_back(session):
+    def look(live, at_s):
+        gauges = CaptureFigures(captured_ns=round(at_s * NS_PER_S), live_source=live)
+        session.told("camera_left", gauges, at_s=at_s)
+        return session.look(at_s)
+
+    assert look("own", 1) == []
+    assert look("page", 2) == [(2_000_000, "input", "left: a page took over")]
+    assert look("page", 2.5) == []
+    assert look("own", 3) == [(3_000_000, "input", "left: its own source again")]
+
+
+def test_a_path_without_protection_is_told_once(session):
+    path = OpenPath(SETUP.downlink, address=("192.0.2.1", 27000), now_ns=5)
+    session.told("ground_gateway", path.report(NS_PER_S))
+    (told,) = [text for _, what, text in session.look() if what == "link"]
+    assert told == "ground: the path is NOT PROTECTED"
+    assert session.look(2) == []

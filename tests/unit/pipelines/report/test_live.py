@@ -82,15 +82,13 @@ def test_each_stream_is_shown_with_its_age_and_state(launcher):
 
 
 def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
-    told = {
-        "camera_left": CaptureFigures(captured_ns=7 * NS_PER_S, source_fault="the writer has gone"),
-        "camera_right": CaptureFigures(
-            captured_ns=9 * NS_PER_S, source_fault="garbage in the pipe"
-        ),
-        "camera_static": CaptureFigures(captured_ns=9 * NS_PER_S),
-    }
-    for process, gauges in told.items():
-        launcher.collector.handle_message(process, message(gauges), 9 * NS_PER_S)
+    for name, captured_s, fault in (
+        ("left", 7, "the writer has gone"),
+        ("right", 9, "garbage in the pipe"),
+        ("static", 9, ""),
+    ):
+        gauges = CaptureFigures(captured_ns=captured_s * NS_PER_S, source_fault=fault)
+        launcher.collector.handle_message(f"camera_{name}", message(gauges), 9 * NS_PER_S)
     silent = "camera_left: no picture for 3 s (the writer has gone)"
     lines = [(line.plain, str(line.style)) for line in _inputs(launcher, launcher.collector)]
     assert lines == [(silent, "bold red"), ("camera_right: garbage in the pipe", "yellow")]
@@ -116,13 +114,16 @@ def test_no_name_and_no_number_is_cut_at_any_width(launcher, width):
 
 
 def test_a_stop_on_request_is_shown_as_one_and_not_as_silence(launcher):
-    told = message(CaptureFigures(captured_ns=0))
-    launcher.collector.handle_message("camera_left", told, NS_PER_S)
-    old = message(DisplayFigures(age_ns=NS_PER_S, state=State.STALE), stream="uplink_video")
-    launcher.collector.handle_message("space_display", old, NS_PER_S)
+    old = DisplayFigures(age_ns=NS_PER_S, state=State.STALE)
+    for process, told, stream in (
+        ("camera_left", CaptureFigures(captured_ns=0), ""),
+        ("space_display", old, "uplink_video"),
+    ):
+        launcher.collector.handle_message(process, message(told, stream=stream), NS_PER_S)
     assert "STALE" in _line(launcher, launcher.collector)
     launcher.switch.handle_order(Order.STOP, 2 * NS_PER_S)
     assert _inputs(launcher, launcher.collector) == []
     line = _line(launcher, launcher.collector)
     assert line.endswith("stopped from a page") and "STALE" not in line
-    assert "stopped from a page" in first_line(launcher, launcher.collector, 118)
+    first = first_line(launcher, launcher.collector, 118)
+    assert first.startswith("taskboard-7   10 s   ") and "stopped from a page" in first

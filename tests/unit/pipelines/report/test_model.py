@@ -2,7 +2,7 @@
 
 import typing
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
 
 import pytest
@@ -11,7 +11,6 @@ from told import message
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.figures import marks_of
-from pipelines.media.figures import CaptureFigures
 from pipelines.recording.messages import RecordedFigure
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import ProcessNow
@@ -26,14 +25,6 @@ from pipelines.table import topology_of
 SETUP = BUILT_IN["taskboard"]
 #: Of the topology; each may tell any record.
 PROCESSES = ("camera_left", "ground_gateway", "space_gateway")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OneMore(CaptureFigures):
-    """A camera that counts one figure more."""
-
-    #: Pictures that came upside down.
-    upside_down: int = 0
 
 
 def made(hint):
@@ -99,6 +90,7 @@ def documented():
     return keys.counts_table() + keys.keys_tables(SessionReport)
 
 
+@pytest.mark.rule("9")
 @pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
 def test_each_figure_of_a_record_is_in_report_page_recording_and_documents(kind, documented):
     report, figures = told(made(kind))
@@ -112,13 +104,3 @@ def test_each_figure_of_a_record_is_in_report_page_recording_and_documents(kind,
         assert is_among(name, on_page), name
         assert any(is_among(name, one.split(".")) for one in recorded), name
         assert f"`{name}`" in documented or f".{name}`" in documented, name
-
-
-def test_one_line_more_in_a_record_is_a_figure_everywhere(monkeypatch):
-    monkeypatch.setattr(keys, "TOLD", (*keys.TOLD, OneMore))
-    report, figures = told(OneMore(upside_down=3))
-    assert report["processes"]["camera_left"]["counts"]["upside_down"] == 3
-    name = "processes.camera_left.counts.upside_down"
-    assert figures[name] == 3
-    assert RecordedFigure.of(name, figures[name]).number == 3
-    assert "- `upside_down`: Pictures that came upside down." in keys.counts_table()

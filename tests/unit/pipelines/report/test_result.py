@@ -49,15 +49,6 @@ def test_a_result_is_written_with_its_headlines(tmp_path):
     write_result(None, Inner(1.5, ()), [])
 
 
-def test_columns_of_the_highest_rank_go_first():
-    ranks, rows = {"name": 9, "keep": 1, "drop": 2}, [["abc", "1", "2"]]
-    shown = [
-        [column.header for column in fitted_table(ranks, rows, width).columns]
-        for width in (22, 21, 1)
-    ]
-    assert shown == [["name", "keep", "drop"], ["name", "keep"], ["name"]]
-
-
 @given(
     st.lists(st.tuples(st.integers(1, 12), st.integers(0, 9)), min_size=1, max_size=9),
     st.integers(20, 120),
@@ -72,3 +63,12 @@ def test_no_table_is_wider_than_its_width_or_cuts_a_cell(columns, width):
     assert max(map(len, capture.get().splitlines())) <= width
     kept = capture.get().splitlines()[3]
     assert kept.count("x") == sum(len(next(iter(column.cells))) for column in table.columns)
+
+
+def test_columns_of_the_highest_rank_go_first():
+    ranks, rows = {"name": 9, "keep": 1, "drop": 2}, [["abc", "1", "2"]]
+    shown = [
+        [column.header for column in fitted_table(ranks, rows, width).columns]
+        for width in (22, 21, 1)
+    ]
+    assert shown == [["name", "keep", "drop"], ["name", "keep"], ["name"]]

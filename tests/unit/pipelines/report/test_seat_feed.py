@@ -1,3 +1,5 @@
+"""Problems of a session, as whoever watches its health is told them."""
+
 from types import SimpleNamespace
 
 from kontur_av.clock import NS_PER_S
@@ -21,11 +23,8 @@ def at(report, seconds, *, down=(), health=None):
     return health.problems(report, down, (100 + seconds) * NS_PER_S)
 
 
-def test_failures_of_the_report_are_problems():
-    assert at(told(failures=["uplink_video: above its cap"]), 1) == ["uplink_video: above its cap"]
-
-
-def test_a_process_that_comes_back_in_time_is_no_problem():
+def test_failures_are_problems_and_a_process_that_comes_back_in_time_is_none():
+    assert at(told(failures=["above its cap"]), 1) == ["above its cap"]
     health = SessionHealth(0.0)
     assert at(told(), 20, down=["robot"], health=health) == []
     assert at(told(), 28, down=["robot"], health=health) == []

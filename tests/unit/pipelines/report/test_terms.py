@@ -61,15 +61,6 @@ def test_each_term_equals_its_input():
     assert lead.lead_ms.total == 58.5
 
 
-def test_a_picture_is_weighted_with_the_time_since_the_previous_one():
-    way = DelaySums()
-    way.add(instants(0, 0, 0, 50, 0, 0), 30 * NS_PER_MS, (0, 1))
-    way.add(instants(0, 0, 0, 80, 0, 0), 60 * NS_PER_MS, (0, 1))
-    lead = lead_of(way)
-    assert lead.video_ms.camera == pytest.approx((30 * 15 + 60 * 30) / 90, abs=1e-3)
-    assert lead.video_ms.total == pytest.approx((30 * 65 + 60 * 110) / 90, abs=1e-3)
-
-
 @given(
     st.lists(
         st.tuples(
@@ -116,3 +107,12 @@ def test_propagation_is_taken_at_the_instants_of_sending(tmp_path):
         way.add(instants(0, 0, 1, 500, 0, 0, at_ms=begin_ms), 30 * NS_PER_MS, (0, 1))
         found = way.propagation_ns(setup, setup.uplink, epoch_ns)
         assert found / NS_PER_MS == pytest.approx(expected_ms, abs=1)
+
+
+def test_a_picture_is_weighted_with_the_time_since_the_previous_one():
+    way = DelaySums()
+    way.add(instants(0, 0, 0, 50, 0, 0), 30 * NS_PER_MS, (0, 1))
+    way.add(instants(0, 0, 0, 80, 0, 0), 60 * NS_PER_MS, (0, 1))
+    lead = lead_of(way)
+    assert lead.video_ms.camera == pytest.approx((30 * 15 + 60 * 30) / 90, abs=1e-3)
+    assert lead.video_ms.total == pytest.approx((30 * 65 + 60 * 110) / 90, abs=1e-3)

@@ -63,15 +63,6 @@ def test_signal_drop_outs_and_shadowing_are_announced_with_the_time_left():
     assert ahead.next is None
 
 
-def test_what_comes_soon_is_announced_at_once_to_who_begins_late():
-    profile = replace(load_radio("iss-pass"), start_s=-5.0)
-    ahead = ContactAhead(planned_contact(profile, profile.contact_windows()))
-    assert ahead.next is None
-    words = [text for _, text in ahead.handle_time(-5.0)]
-    assert words[0] == "acquisition of signal in 5 s"
-    assert ahead.next == ("acquisition of signal", 5.0)
-
-
 def robot(hold):
     return SafetyFigures(hold=hold)
 
@@ -117,23 +108,16 @@ def test_an_experiment_runs_while_a_task_does_or_a_person_has_the_arm(
     assert bool(words) is bool(runs)
 
 
-def test_a_hand_that_lets_go_for_a_moment_has_not_ended_it():
-    found = collector()
-    watch = ExperimentWatch(found)
-    tell(found, "robot", robot(Hold.NONE), at_s=20)
-    assert watch.handle_time(20 * NS_PER_S)
-    tell(found, "robot", robot(Hold.RELEASED), at_s=29)
-    assert watch.handle_time(29 * NS_PER_S)
-    assert not watch.handle_time(30 * NS_PER_S)
-
-
-def test_a_process_that_was_stopped_holds_no_update_back():
-    found = collector()
-    watch = ExperimentWatch(found)
-    tell(found, "robot", robot(Hold.NONE), at_s=20)
-    assert watch.handle_time(29 * NS_PER_S)
-    assert watch.handle_time(38 * NS_PER_S)
-    assert not watch.handle_time(39 * NS_PER_S)
+def test_a_hand_that_lets_go_for_a_moment_has_not_ended_it_and_a_stopped_process_has():
+    released, silent = collector(), collector()
+    watches = [ExperimentWatch(one) for one in (released, silent)]
+    for one, watch in zip((released, silent), watches, strict=True):
+        tell(one, "robot", robot(Hold.NONE), at_s=20)
+        assert watch.handle_time(20 * NS_PER_S)
+    tell(released, "robot", robot(Hold.RELEASED), at_s=29)
+    for seconds, runs in ((29, [True, True]), (30, [False, True]), (38, [False, True])):
+        assert [bool(one.handle_time(seconds * NS_PER_S)) for one in watches] == runs
+    assert not watches[1].handle_time(39 * NS_PER_S)
 
 
 def test_of_attached_programs_their_samples_say_it():

@@ -3,12 +3,14 @@
 from dataclasses import replace
 
 import pytest
-from told import message
+from told import gateway, message
 
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.report.collector import Collector
 from pipelines.report.sections import recorder_warnings
 from pipelines.report.warnings import (
+    find_path_warnings,
     hand_warnings,
     loop_warnings,
     picture_warnings,
@@ -16,7 +18,10 @@ from pipelines.report.warnings import (
 )
 from pipelines.session.session_switch import NO_ROOM
 from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.session.topology import Segment
 from pipelines.table import topology_of
+from telepresence.link.clock_exchange import ClockExchange
+from telepresence.link.peer_path import OpenPath
 
 
 def loop(*, cycles=1000, left_out=0, late_ns=0, scheduler="other"):
@@ -100,3 +105,38 @@ def test_after_a_long_round_trip_another_hand_is_named():
     assert "504 ms" in measured
     assert warned(15, 15) == warned(252, None) == warned(252, 252, hand="auto") == []
     assert warned(252, 252, partner_arm="shared") == []
+
+
+@pytest.mark.parametrize(
+    ("segment", "offset_ns", "error_ms", "hand", "path_warned", "hand_warned"),
+    [
+        (Segment.GROUND, None, 0, "auto", ["clock_unknown"], []),
+        (Segment.GROUND, 5, 0, "auto", [], []),
+        (Segment.SPACE, 5, 251, "direct", [], ["hand_direct"]),
+        (Segment.SPACE, 5, 251, "auto", [], []),
+        (Segment.SPACE, 5, 20, "direct", [], []),
+        # The hand is at the other end.
+        (Segment.GROUND, 5, 251, "direct", [], []),
+    ],
+)
+def test_an_unknown_clock_and_a_direct_hand_over_a_long_way_are_warned_of(
+    segment, offset_ns, error_ms, hand, path_warned, hand_warned
+):
+    setup = replace(BUILT_IN["spacejustin"], hand=hand)
+    collector = Collector(topology_of(setup, segments=(segment,)))
+    clock = ClockExchange(version=2, master=True, life=1, told_offset_ns=0, now_ns=0).report(0)
+    error_ns = None if offset_ns is None else error_ms * NS_PER_MS
+    clock = replace(clock, offset_ns=offset_ns, error_ns=error_ns, messages_received=9)
+    figures = message(replace(gateway(), clock=clock))
+    collector.handle_message(f"{segment.value}_gateway", figures, NS_PER_S)
+    assert [one.what for one in find_path_warnings(collector, Segment)] == path_warned
+    assert [one.what for one in hand_warnings(collector)] == hand_warned
+
+
+def test_a_path_without_protection_is_warned_of():
+    setup = BUILT_IN["spacejustin"]
+    collector = Collector(topology_of(setup, segments=(Segment.GROUND,)))
+    path = OpenPath(setup.downlink, address=("192.0.2.1", 27000), now_ns=5)
+    collector.handle_message("ground_gateway", message(path.report(NS_PER_S)), NS_PER_S)
+    (warning,) = find_path_warnings(collector, Segment)
+    assert (warning.what, warning.where) == ("not_protected", "ground_gateway")

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from synthetic_recording import BEGIN_NS, LINK_CYCLES, MS, S, write_recording
 
 from pipelines.recording.export.columns import Columnizer, joined, table_names
-from pipelines.recording.export.table_files import CsvExport
 from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
 from pipelines.recording.joined import JoinedMessage, JoinedRecording, read_part
 from pipelines.recording.messages import (
@@ -20,7 +19,6 @@ from pipelines.recording.messages import (
     SAMPLE,
     pack_haptics,
 )
-from pipelines.recording.recording_file import Outputs
 
 
 def read(recording):
@@ -107,17 +105,6 @@ def test_an_event_far_from_any_cycle_has_no_row():
     assert np.array_equal(rows, [np.nan, 1, 2, 2, np.nan], equal_nan=True)
 
 
-def test_a_figure_that_begins_late_was_zero_before(written):
-    topic = "/link/uplink/sent"
-    columnizer = Columnizer(BEGIN_NS)
-    first, *_ = (one for one in written.told[topic])
-    late = JoinedMessage(topic, LINK_SENT.full_name, 0, 0, 0, first.data, 0)
-    early = late._replace(data=b"")
-    columns = joined([columnizer.rows(early), columnizer.rows(late)])
-    assert columns["carried_haptic_octets"].tolist() == [0, 0]
-    assert columns["capacity_bps"].tolist() == [0, 256_000]
-
-
 def test_messages_that_are_not_of_their_schema_are_counted():
     columnizer = Columnizer(0)
     message = JoinedMessage("/events", EVENT.full_name, 0, 0, 0, b"\xff", 0)
@@ -135,22 +122,6 @@ def test_no_two_channels_have_one_table(topics):
     assert len({*names.values(), "a", "events"}) == len(topics) + 2
     assert all(re.fullmatch("[a-z][a-z0-9_]{0,62}", name) for name in names.values())
     assert "end" not in names.values()
-
-
-def test_channels_whose_names_fall_together_are_all_exported(tmp_path, written):
-    recording = read(written)
-    (part, *_) = recording.parts
-    names = {"/link/uplink/sent": "/a-b", "/link/uplink/received": "/a_b"}
-    for channel in part.inventory.channels:
-        channel.topic = names.get(channel.topic, channel.topic)
-    export = CsvExport(tmp_path / "csv", recording)
-    with Outputs(overwrite=False) as outputs:
-        export.begin(outputs)
-        for message in part.messages(0):
-            if message.topic in names:
-                export.handle_message(message._replace(topic=names[message.topic]))
-        export.end()
-    assert all((tmp_path / f"csv/{name}.csv").stat().st_size > 1000 for name in ("a_b", "a_b_2"))
 
 
 class Messages:
@@ -212,3 +183,14 @@ def test_samples_an_hour_ahead_within_a_message_are_moved():
         )
         rows = Columnizer(BEGIN_NS).rows(message._replace(data=pack_haptics(samples)))
         assert np.abs(rows["session_ns"] - time_ns).max() <= MS
+
+
+def test_a_figure_that_begins_late_was_zero_before(written):
+    topic = "/link/uplink/sent"
+    columnizer = Columnizer(BEGIN_NS)
+    first, *_ = (one for one in written.told[topic])
+    late = JoinedMessage(topic, LINK_SENT.full_name, 0, 0, 0, first.data, 0)
+    early = late._replace(data=b"")
+    columns = joined([columnizer.rows(early), columnizer.rows(late)])
+    assert columns["carried_haptic_octets"].tolist() == [0, 0]
+    assert columns["capacity_bps"].tolist() == [0, 256_000]

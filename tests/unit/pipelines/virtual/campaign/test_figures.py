@@ -1,4 +1,4 @@
-"""Figures and verdict of the session of a pass."""
+"""Figures and verdict of a pass with a plan of tasks."""
 
 import copy
 
@@ -6,6 +6,7 @@ import pytest
 from partial_report import partial_report
 
 from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.session.task_journal import STEPS
 from pipelines.virtual.campaign.figures import (
     Crash,
     SessionTask,
@@ -13,32 +14,44 @@ from pipelines.virtual.campaign.figures import (
     pass_figures,
     run_figures,
     signal_s,
+    task_faults,
+    task_names,
+    task_numbers,
     usable_window,
 )
+from telepresence.tasks.plan import PlannedTask, SessionPlan
 
 S = 1_000_000_000
-TASK = SessionTask(setup=BUILT_IN["spacejustin"], seconds=100.0, seed=1)
 
 
-def report(seconds=100.0, windows=((10, 90),), contact=None):
+def run(name="aiming", result="finished", seconds=20.0, steps=STEPS):
+    numbers = ("path_m", "force_max_n", "force_mean_n", "delay_ms")
+    return {
+        **dict.fromkeys(numbers, 1.0),
+        **dict.fromkeys(("selected_ns", "frames", "frames_lost"), 0),
+        **dict.fromkeys(("error_mean", "error_max")),
+        "name": name,
+        "run": 1,
+        "result": result,
+        "reason": "",
+        "seconds": seconds,
+        "steps": [{"at_ns": S, "step": step} for step in steps],
+    }
+
+
+def report(seconds=100.0, windows=((10, 90),), contact=None, **more):
     """The report of a session without media and with a signal in `windows` (s)."""
     contacts = [
-        {
-            "acquired_ns": begin * S,
-            "connected_ns": None,
-            "lost_ns": None if end is None else end * S,
-        }
+        {"acquired_ns": begin * S, "connected_ns": None, "lost_ns": end and round(end * S)}
         for begin, end in windows
     ]
     heard_s = sum((seconds if end is None else end) - begin for begin, end in windows)
-    gateway = {
-        "supervision": {
-            "counts": {"signals_acquired": len(windows)},
-            "contact_ns": heard_s * S,
-            "contacts": contacts,
-        },
-        "radio": {"frames_hit": 3, "contact": contact},
+    supervision = {
+        "counts": {"signals_acquired": len(windows)},
+        "contact_ns": heard_s * S,
+        "contacts": contacts,
     }
+    gateway = {"supervision": supervision, "radio": {"frames_hit": 3, "contact": contact}}
     samples = round(1000 * seconds)
     haptic = {
         "sent": samples,
@@ -56,7 +69,69 @@ def report(seconds=100.0, windows=((10, 90),), contact=None):
         "skew_ms": {"video_haptic": None},
         "lip_sync": None,
         "failures": [],
-    }
+    } | more
+
+
+def of(*runs, seconds=100.0, signal_s=100.0):
+    """A pass with a signal from its beginning, for `signal_s`, and these runs."""
+    windows = ((0, None if signal_s == seconds else signal_s),)
+    contact = {"usable_from_s": 0.0, "usable_to_s": signal_s}
+    return partial_report(report(seconds, windows, contact, tasks=list(runs)))
+
+
+def test_a_pass_is_usable_if_a_task_is_finished_in_the_order_of_the_steps():
+    early = run(result="lost_signal", seconds=None, steps=(*STEPS[:4], STEPS[8]))
+    assert task_faults(of(run(), early)) == []
+    # The last step may miss the contact.
+    assert task_faults(of(run(steps=STEPS[:-1]))) == []
+    assert task_faults(of(early)) == ["no task finished"]
+    assert task_faults(of()) == ["no task finished"]
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        (*STEPS[:3], STEPS[4], STEPS[3], *STEPS[5:]),
+        (*STEPS[:3], STEPS[2], *STEPS[3:]),
+        STEPS[:-2],
+        (*STEPS[:5], *STEPS[6:]),
+    ],
+)
+def test_a_step_in_another_place_or_twice_or_left_out_of_a_finished_run_is_a_fault(steps):
+    assert task_faults(of(run(steps=steps))) == ["out of order"]
+
+
+def test_the_panel_may_learn_of_a_lost_run_after_its_end_but_in_order():
+    told, shown, ended, last = STEPS[:3], STEPS[3], STEPS[9:11], STEPS[11]
+    at_start = STEPS[4]
+    for steps in ((*told, *ended, shown, last), (*told, shown, *ended, at_start)):
+        late = run(result="lost_signal", seconds=None, steps=steps)
+        assert task_faults(of(run(), late)) == []
+    for steps in (
+        (*told, *ended, last, shown),
+        (*told, *ended, shown, shown),
+        (*ended, *told, shown),
+    ):
+        wrong = run(result="lost_signal", seconds=None, steps=steps)
+        assert task_faults(of(run(), wrong)) == ["out of order"]
+
+
+def test_a_run_that_is_open_long_after_the_signal_was_lost_is_left_hanging():
+    open_one = run(result="open", seconds=None, steps=STEPS[:3])
+    assert "left hanging" in task_faults(of(run(), open_one, signal_s=60.0))
+    assert "left hanging" not in task_faults(of(run(), open_one, signal_s=80.0))
+    assert task_faults(of(run(), open_one)) == []
+
+
+def test_a_task_has_the_median_time_of_its_finished_runs():
+    plan = SessionPlan(tasks=(PlannedTask(name="aiming"), PlannedTask(name="line")))
+    done = of(run(seconds=20.0), run(seconds=23.0), run("line", "timed_out", 60.0, STEPS[:9]))
+    assert task_names(plan) == ("tasks_begun", "tasks_finished", "aiming_s", "line_s")
+    assert task_numbers(done) == {"tasks_begun": 3, "tasks_finished": 2, "aiming_s": 21.5}
+    assert task_names(None) == ()
+
+
+TASK = SessionTask(setup=BUILT_IN["spacejustin"], seconds=100.0, seed=1)
 
 
 CONTACT = {"usable_from_s": 30.0, "usable_to_s": 300.0}
