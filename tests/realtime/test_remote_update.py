@@ -4,9 +4,10 @@ import json
 import subprocess
 from random import Random
 
+import pytest
 from file_transfer import Transfer
-from running_session import RunningSession, assert_sound
-from upkeep_programs import PROGRAM, WORKS, make, running, until
+from running_session import RunningSession, assert_sound, eventually
+from upkeep_programs import PROGRAM, WORKS, make, running
 
 from pipelines.link.key_files import make_key, read_key
 from pipelines.upkeep.desk import DiskStore
@@ -38,108 +39,131 @@ def listed(folder):
     replace_file(DiskStore(folder), SFV, sfv_text(read_folder(DiskStore(folder), "")))
 
 
-def test_updates_across_the_link_run_or_are_undone_by_themselves(tmp_path, monkeypatch):
-    trace, key, stranger = tmp_path / "trace", tmp_path / "key.pem", tmp_path / "stranger.pem"
+@pytest.fixture(scope="module")
+def ends(tmp_path_factory):
+    """A session with files and both keepers, which watch the folders that files come into."""
+    top = tmp_path_factory.mktemp("update")
+    trace, key, stranger = top / "trace", top / "key.pem", top / "stranger.pem"
     trace.touch()
-    monkeypatch.setenv("TRACE", str(trace))
-    make_key(key)
+    versions, storages, space = top / "versions", top / "storages", top / "ends" / "space"
+    identity = make_key(key).identity
     make_key(stranger)
-    ends, versions, storages = tmp_path / "ends", tmp_path / "versions", tmp_path / "storages"
-    keeper = VersionKeeper(versions, {read_key(key).identity}, print)
-    busy = tmp_path / "trace.busy"
-    busy.write_text(WORKS.replace("}", ', "busy": true}'))
-    for name, text in (("elementary", PROGRAM), ("v1", BUSY)):
-        folder = make(tmp_path, name, text=text)
-        sign(folder, key)
-        keeper.add(name, folder)
-    keeper.order("start", "v1")
-    for copy in (Copy.SD_1, Copy.SD_2, Copy.FLASH):
-        LoaderKeeper(storages, print).fill(copy, make(tmp_path / copy.value, "first"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TRACE", str(trace))
+        keeper = VersionKeeper(versions, {identity}, print)
+        for name in ("elementary", "v1"):
+            folder = make(top, name, text=BUSY)
+            sign(folder, key)
+            keeper.add(name, folder)
+        keeper.order("start", "v1")
+        (top / "trace.busy").write_text(WORKS.replace("}", ', "busy": true}'))
+        for copy in (Copy.SD_1, Copy.SD_2, Copy.FLASH):
+            LoaderKeeper(storages, print).fill(copy, make(top / copy.value, "first"))
+        options = ("--files", str(top / "ends"), "--files-rate", "15,200", "--trainer")
+        with (
+            RunningSession("taskboard", *options, directory=top) as session,
+            running("versions", "run", versions, "--key", key, "--inbox", space / "link"),
+            running("apploader", "run", storages, "--inbox", space / "joystick"),
+        ):
+            session.wait_for_flow()
+            yield Ends(session, top)
+            code, report = session.interrupt()
+            assert code == 0
+            assert_sound(report)
 
-    ground = ends / "ground"
-    for name, text, by in (
-        ("v2", PROGRAM, key),
-        ("v3", CRASHES, key),
-        ("foreign", PROGRAM, stranger),
-        ("damaged", PROGRAM, key),
-    ):
-        folder = make(tmp_path, name, text=text)
-        if name == "v2":
-            # As large as lasts longer than the loss of signal.
-            (folder / "ballast").write_bytes(Random(1).randbytes(8000))
-        sign(folder, by)
-        if name == "damaged":
-            (folder / "run").write_text("#!/bin/sh\n")
-        pack(folder, ground / "link")
-    for name, text in (("good", PROGRAM), ("broken", CRASHES)):
-        folder = make(tmp_path, name, text=text)
-        listed(folder)
-        pack(folder, ground / "joystick")
-    (ground / "joystick" / "copy.order").write_text("copy\n")
 
-    inboxes = {name: ends / "space" / name for name in ("link", "joystick")}
+class Ends:
+    """What goes up to the keepers in space, and what they tell."""
 
-    def told(name):
+    def __init__(self, session, top):
+        self.session, self.top, self.key = session, top, top / "key.pem"
+        self.trace, self.storages = top / "trace", top / "storages"
+        self.ground, self.space = top / "ends" / "ground", top / "ends" / "space"
+
+    def told(self, name):
         try:
-            return json.loads((inboxes[name] / "upkeep.json").read_text())
+            return json.loads((self.space / name / "upkeep.json").read_text())
         except OSError:
             return {"answers": [], "waiting": [], "runs": "", "states": {}}
 
-    def answers(name):
-        return {one["file"].split(".")[0]: one["text"] for one in told(name)["answers"]}
+    def answers(self, name):
+        return {one["file"].split(".")[0]: one["text"] for one in self.told(name)["answers"]}
 
-    options = ("--files", str(ends), "--files-rate", "15,200", "--trainer")
-    with (
-        RunningSession("taskboard", *options, directory=tmp_path) as session,
-        running("versions", "run", versions, "--key", key, "--inbox", inboxes["link"]),
-        running("apploader", "run", storages, "--inbox", inboxes["joystick"]),
-    ):
-        session.wait_for_flow()
-        sent = [Transfer(session, "put", "link/v2.tar.gz")]
-        sent[0].until("running")
-        assert session.ask("trainer", "los", "2").returncode == 0
-        names = ("link/foreign", "link/damaged", "joystick/good")
-        sent += [Transfer(session, "put", f"{name}.tar.gz") for name in names]
-        sent[0].until("suspended")
-        assert [one.end() for one in sent] == [0] * 4, [one.said() for one in sent]
-        # The experiment first: v1 goes on.
-        until(lambda: {*told("link")["waiting"]} >= {"v2.tar.gz", "foreign.tar.gz"})
-        until(lambda: told("joystick")["runs"] == "sd/1" and "good" in trace.read_text())
-        assert "v2" not in trace.read_text() and told("link")["busy"]
-        busy.write_text(WORKS)
-        until(lambda: told("link")["runs"] == "v2")
-        until(lambda: {*answers("link")} == {"v2", "foreign", "damaged"})
-        assert "not trusted" in answers("link")["foreign"]
-        assert "file run is damaged" in answers("link")["damaged"]
+    def put(self, name):
+        return Transfer(self.session, "put", name)
 
-        # Its minute without a malfunction is over.
-        note_worked(DiskStore(storages), Copy.SD_1)
-        sent = [Transfer(session, "put", one) for one in ("link/v3.tar.gz", "joystick/copy.order")]
-        assert [one.end() for one in sent] == [0, 0]
-        assert Transfer(session, "put", "joystick/broken.tar.gz").end() == 0
-        until(lambda: trace.read_text().count("v3") == 3 and told("link")["runs"] == "v2")
-        until(lambda: "broken" in answers("joystick") and told("joystick")["runs"] == "sd/2")
-        fetched = [Transfer(session, "get", f"{name}/upkeep.json") for name in inboxes]
-        assert [one.end() for one in fetched] == [0, 0]
-        code, report = session.interrupt()
-    link, joystick = (
-        json.loads((ground / name / "upkeep.json").read_text()) for name in ("link", "joystick")
-    )
-    assert link["states"] == {"v2": "executable", "v1": "executable", "v3": "defective"}
+    def pack_version(self, name, text, *, key=None, ballast=b""):
+        folder = make(self.top, name, text=text)
+        (folder / "ballast").write_bytes(ballast)
+        sign(folder, key or self.key)
+        pack(folder, self.ground / "link")
+
+    def pack_copy(self, name, text):
+        folder = make(self.top, name, text=text)
+        listed(folder)
+        pack(folder, self.ground / "joystick")
+
+    def fetched(self, name):
+        """What a keeper tells, as it came down."""
+        assert Transfer(self.session, "get", f"{name}/upkeep.json").end() == 0
+        return json.loads((self.ground / name / "upkeep.json").read_text())
+
+
+def test_a_version_comes_across_a_loss_of_signal_and_starts_after_the_experiment(ends):
+    # As large as lasts longer than the loss of signal.
+    ends.pack_version("v2", PROGRAM, ballast=Random(1).randbytes(8000))
+    ends.pack_version("foreign", PROGRAM, key=ends.top / "stranger.pem")
+    sent = [ends.put("link/v2.tar.gz")]
+    sent[0].until("running")
+    assert ends.session.ask("trainer", "los", "2").returncode == 0
+    sent.append(ends.put("link/foreign.tar.gz"))
+    sent[0].until("suspended")
+    assert [one.end() for one in sent] == [0] * 2, [one.said() for one in sent]
+    # The experiment first: v1 goes on.
+    eventually(lambda: {*ends.told("link")["waiting"]} >= {"v2.tar.gz", "foreign.tar.gz"})
+    assert "v2" not in ends.trace.read_text() and ends.told("link")["busy"]
+    (ends.top / "trace.busy").write_text(WORKS)
+    eventually(lambda: ends.told("link")["runs"] == "v2")
+    eventually(lambda: {*ends.answers("link")} == {"v2", "foreign"})
+    assert "not trusted" in ends.answers("link")["foreign"]
+    assert (ends.space / "link" / "foreign.tar.gz.refused").exists()
+
+
+def test_a_version_that_crashes_is_undone_and_the_ground_is_told_why(ends):
+    (ends.top / "trace.busy").write_text(WORKS)
+    eventually(lambda: ends.told("link")["runs"])
+    before = ends.told("link")["runs"]
+    ends.pack_version("v3", CRASHES)
+    assert ends.put("link/v3.tar.gz").end() == 0
+    eventually(lambda: ends.trace.read_text().count("v3") == 3)
+    eventually(lambda: ends.told("link")["runs"] == before)
+    link = ends.fetched("link")
+    assert link["states"]["v3"] == "defective"
     assert link["why"] == "v3: ended by itself, 3 times"
+
+
+def test_an_update_of_the_joystick_is_copied_once_it_has_worked_and_a_broken_one_is_undone(ends):
+    ends.pack_copy("good", PROGRAM)
+    ends.pack_copy("broken", CRASHES)
+    (ends.ground / "joystick" / "copy.order").write_text("copy\n")
+    assert ends.put("joystick/good.tar.gz").end() == 0
+    eventually(lambda: ends.told("joystick")["runs"] == "sd/1" and "good" in ends.trace.read_text())
+    # Its minute without a malfunction is over.
+    note_worked(DiskStore(ends.storages), Copy.SD_1)
+    for name in ("copy.order", "broken.tar.gz"):
+        assert ends.put(f"joystick/{name}").end() == 0
+    eventually(
+        lambda: "broken" in ends.answers("joystick") and ends.told("joystick")["runs"] == "sd/2"
+    )
+    joystick = ends.fetched("joystick")
     assert joystick["states"] == {"sd/1": "it ended with 1", "sd/2": "valid"}
     assert [one["text"] for one in joystick["answers"]] == [
-        "written to sd/1",
-        "done",
-        "written to sd/1",
+        *("written to sd/1", "done", "written to sd/1"),
     ]
     # Backup is the update that had worked.
-    assert "echo good" in (storages / "sd/2/run").read_text()
-    assert sorted(path.name for path in inboxes["joystick"].iterdir()) == [
-        "broken.tar.gz.taken",
-        "copy.order.taken",
-        "good.tar.gz.taken",
-        "upkeep.json",
+    assert "echo good" in (ends.storages / "sd/2/run").read_text()
+    names = ("broken.tar.gz", "copy.order", "good.tar.gz")
+    taken = [f"{name}.taken" for name in names]
+    assert sorted(path.name for path in (ends.space / "joystick").iterdir()) == [
+        *(*taken, "upkeep.json"),
     ]
-    assert (code, (inboxes["link"] / "foreign.tar.gz.refused").exists()) == (0, True)
-    assert_sound(report)
