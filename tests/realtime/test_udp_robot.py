@@ -3,14 +3,14 @@
 import contextlib
 import shutil
 import signal
-import socket
 import subprocess
 from collections import Counter
 from pathlib import Path
 
 import pytest
+from common import free_port
 from mcap.reader import make_reader
-from robot_tip import STILL_M, Tip
+from robot_tip import Tip
 from running_session import eventually
 
 from kontur_av.clock import MonotonicClock
@@ -33,16 +33,10 @@ FLAGS = ("-O2", "-std=c11", "-Wall", "-Wextra", "-Werror")
 @pytest.fixture(scope="module")
 def binary(tmp_path_factory):
     if shutil.which("cc") is None:
-        pytest.skip("no C compiler")
+        pytest.skip("cc: apt-get install gcc")
     path = tmp_path_factory.mktemp("c") / "udp_robot"
     subprocess.run(["cc", *FLAGS, "-o", path, SOURCE], check=True)
     return path
-
-
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", 0))
-        return udp.getsockname()[1]
 
 
 @pytest.fixture
@@ -100,7 +94,7 @@ def test_a_session_outlives_its_robots_controller(start, controller, tmp_path, m
         controller("robot", robot_port)
         eventually(lambda: session.ask("tc", "robot", "reset_error").returncode == 0, "a reset")
         assert power_on(session).returncode == 0
-        assert tip.way(0.5) < STILL_M
+        assert tip.holds(500)
         joystick.send_signal(signal.SIGCONT)
         tip.wait_until_it_moves()
     code, report = session.interrupt()
