@@ -128,6 +128,13 @@ def test_a_restarted_peer_gets_whole_headers_once_the_restart_is_known():
     assert path.outcomes[-1][1] == KIND_BARE
 
 
+def test_whole_headers_again_as_soon_as_the_peers_new_life_is_known():
+    path, source = Path(VOICE), voice(Random(1), 2)
+    assert [path.send(*next(source)) for _ in range(30)][-1] == KIND_BARE
+    path.compressor.forget()
+    assert path.send(*next(source)) in (KIND_RAW, KIND_CONTEXT)
+
+
 def test_a_number_that_may_still_be_acknowledged_is_not_reused():
     """The peer holds an old context and receives nothing more, while hundreds follow."""
     compressor = RtpCompressor(VOICE, SLOT_NS)

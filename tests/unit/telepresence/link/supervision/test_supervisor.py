@@ -642,7 +642,8 @@ def test_messages_are_counted_at_both_ends_and_garbled_ones_as_such():
         assert counts["messages_malformed"] == counts["messages_mismatched"] == 0
         for _ in range(3):
             end.supervisor.handle_message(bytes(12), pair.slot * MS)
-        assert figures(pair, end).counts == {**counts, "messages_malformed": 3}
+        end.supervisor.handle_stranger(bytes(12), pair.slot * MS, frames=1, lasts_ns=0)
+        assert figures(pair, end).counts == {**counts, "messages_malformed": 4}
 
 
 @SIDES
