@@ -167,6 +167,7 @@ def test_an_event_without_its_arguments_is_not_reported_but_acted_on(application
     application.handle_event("too_hot", 0)
     (event,) = packets(application)
     assert (event.subtype, event.data) == (4, bytes.fromhex("01 41a00000"))
+    assert application.events_reported == 1
 
 
 def test_switches_take_several_numbers_and_back(application):
