@@ -5,12 +5,13 @@ import struct
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rtp_packets import drain, feed, make_receiver
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.nal_formats import H264
 from kontur_av.rtp.nal_payload import NalDepacketizer
-from kontur_av.rtp.receiver import RtpReceiver
+from kontur_av.rtp.wire import pack_rtp
 from kontur_av.streams.voice_receiver import VoiceReceiver
 
 PERIOD_TICKS, PERIOD_NS = 3000, 33_333_333
@@ -97,17 +98,18 @@ def packets_of(pictures, way):
 
 
 def rtp(payload, timestamp, marker, sequence, ssrc=7):
-    return (
-        struct.pack(
-            "!BBHII",
-            0x80,
-            96 | bool(marker) << 7,
-            sequence & 0xFFFF,
-            timestamp & 0xFFFF_FFFF,
-            ssrc,
-        )
-        + payload
-    )
+    fields = {"payload_type": 96, "marker": bool(marker), "sequence": sequence & 0xFFFF}
+    return pack_rtp(payload, timestamp=timestamp & 0xFFFF_FFFF, ssrc=ssrc, **fields)
+
+
+def units_of(packets, first=0):
+    """Return the depacketizer of (payload, timestamp, marker) packets, and its units."""
+    datagrams = [rtp(*packet, first + number) for number, packet in enumerate(packets)]
+    depacketizer = NalDepacketizer(H264)
+    for event in feed(make_receiver(), datagrams):
+        depacketizer.handle_packet(event)
+    depacketizer.handle_timeout(10**18)
+    return depacketizer, list(iter(depacketizer.next_event, None))
 
 
 @settings(max_examples=300, deadline=None)
@@ -116,16 +118,7 @@ def test_any_way_to_packetize_gives_the_same_pictures(pictures, way, first):
     if way["markers"].startswith("each"):
         # The first picture shows how the sender marks.
         pictures = [(pictures[0][0], [*pictures[0][1], b"\x41\x22\x07"]), *pictures[1:]]
-    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
-    depacketizer = NalDepacketizer(H264)
-    units = []
-    for number, packet in enumerate(packets_of(pictures, way)):
-        receiver.handle_packet(rtp(*packet, first + number), number)
-        while (event := receiver.next_event()) is not None:
-            depacketizer.handle_packet(event)
-    depacketizer.handle_timeout(10**18)
-    while (unit := depacketizer.next_event()) is not None:
-        units.append(unit)
+    depacketizer, units = units_of(packets_of(pictures, way), first)
     assert [split_annex_b(unit.data) for unit in units] == [
         [*heads, *slices] for heads, slices in pictures
     ]
@@ -138,18 +131,15 @@ def test_any_way_to_packetize_gives_the_same_pictures(pictures, way, first):
 @given(st.lists(PICTURE, min_size=4, max_size=12), WAY, st.sets(st.integers(0, 200), min_size=1))
 def test_markers_amid_pictures_cost_one_picture_at_most(pictures, way, astray):
     way = way | {"markers": "last", "empty_packets": False, "heads_earlier": 0, "end_bit": True}
-    depacketizer = NalDepacketizer(H264)
-    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
-    for number, (payload, timestamp, marker) in enumerate(packets_of(pictures, way)):
-        receiver.handle_packet(rtp(payload, timestamp, marker or number in astray, number), number)
-        while (event := receiver.next_event()) is not None:
-            depacketizer.handle_packet(event)
-    depacketizer.handle_timeout(10**18)
-    units = []
-    while (unit := depacketizer.next_event()) is not None:
-        units.append([one for one in split_annex_b(unit.data) if one[0] == 0x41])
+    packets = [
+        (payload, timestamp, marker or number in astray)
+        for number, (payload, timestamp, marker) in enumerate(packets_of(pictures, way))
+    ]
+    came = [
+        [one for one in split_annex_b(unit.data) if one[0] == 0x41] for unit in units_of(packets)[1]
+    ]
     sent = [slices for _, slices in pictures]
-    assert len([one for one in sent if one in units]) >= len(sent) - 1
+    assert len([one for one in sent if one in came]) >= len(sent) - 1
 
 
 LIFE = st.fixed_dictionaries(
@@ -165,7 +155,7 @@ LIFE = st.fixed_dictionaries(
 @settings(max_examples=150, deadline=None)
 @given(st.lists(LIFE, min_size=2, max_size=6), st.booleans())
 def test_a_sender_that_begins_anew_goes_on_and_a_stranger_stays_out(lives, strange):
-    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
+    receiver = make_receiver()
     sent, now_ns, source, sequence, timestamp = [], 0, 0, 0, 0
     for life in lives:
         now_ns += life["pause_ms"] * NS_PER_MS
@@ -182,47 +172,8 @@ def test_a_sender_that_begins_anew_goes_on_and_a_stranger_stays_out(lives, stran
             if strange and len(sent) > 2:
                 packet = rtp(b"\x41no", len(sent), True, len(sent), 999)
                 receiver.handle_packet(packet, now_ns + 1, ELSEWHERE)
-    came = []
-    while (event := receiver.next_event()) is not None:
-        came.append(event.payload)
-    assert came == sent
+    assert [event.payload for event in drain(receiver)] == sent
     assert receiver.counts.rtp_lost == 0
-
-
-def report(timestamp, *, ntp=1 << 60, ssrc=7):
-    return struct.pack("!BBHIQIII", 0x80, 200, 6, ssrc, ntp, timestamp & 0xFFFF_FFFF, 0, 0)
-
-
-def begun(first=0, timestamp=0):
-    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000)
-    for number in range(2):
-        receiver.handle_packet(rtp(b"\x41", timestamp, True, first + number), number)
-    return receiver
-
-
-@given(st.binary(max_size=40), st.integers(0, 60))
-def test_a_report_counts_whatever_is_behind_it(behind, words):
-    receiver = begun()
-    # Some cameras count the words of the whole datagram, or more.
-    told = report(0)[:2] + struct.pack("!H", max(words, 6)) + report(0)[4:]
-    assert receiver.handle_report(report(0) + behind, 5)
-    assert receiver.handle_report(told, 5)
-    assert receiver.capture_ns(0) is not None
-
-
-@given(
-    st.integers(-(2**31), 2**31 - 1),
-    st.sampled_from([0, 1 << 60]),
-    st.integers(0, 2**32 - 1),
-)
-def test_a_report_of_another_time_line_or_without_a_clock_dates_nothing(away, ntp, timestamp):
-    receiver = begun(timestamp=timestamp)
-    assert receiver.handle_report(report(timestamp + away, ntp=ntp), 5)
-    dated = receiver.capture_ns(timestamp) is not None
-    assert dated == (ntp != 0 and abs(away) <= 10 * 90_000)
-    # The next good one does.
-    receiver.handle_report(report(timestamp), 10)
-    assert receiver.capture_ns(timestamp) is not None
 
 
 @settings(max_examples=60, deadline=None)
@@ -250,7 +201,8 @@ def test_sound_is_whole_and_dated_at_any_clock_of_its_timestamps(slow, packet, f
             take()
         timestamp = first + number * samples // slow
         if number == 0:
-            receiver.handle_report(report(timestamp), now_ns)
+            report = struct.pack("!BBHIQIII", 0x80, 200, 6, 7, 1 << 60, timestamp, 0, 0)
+            receiver.handle_report(report, now_ns)
         if number not in lost:
             sound = rtp(head + bytes([1, number]), timestamp, number == 0, number)
             receiver.handle_packet(sound, now_ns, HERE)
@@ -259,24 +211,3 @@ def test_sound_is_whole_and_dated_at_any_clock_of_its_timestamps(slow, packet, f
     assert [one for one in played if 8 <= one[2] < 70] == expected
     steps = {round((b - a) / NS_PER_MS) for a, b in itertools.pairwise(stamps[8:])}
     assert all(step % (samples // 48) == 0 and step > 0 for step in steps)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 180), st.integers(0, 4), st.integers(0, 65_535))
-def test_a_packet_of_each_picture_that_comes_late_is_waited_for(late_ms, which, first):
-    receiver = RtpReceiver(payload_type=96, clock_rate_hz=90_000, most_reorder_ns=200 * NS_PER_MS)
-    arrivals = []
-    for picture in range(150):
-        for part in range(5):
-            late_ns = late_ms * NS_PER_MS if picture > 0 and part == which else 0
-            sequence = picture * 5 + part
-            packet = rtp(b"\x41\x88\x01", picture * PERIOD_TICKS, part == 4, first + sequence)
-            arrivals.append((picture * PERIOD_NS + part * 1000 + late_ns, sequence, packet))
-    came = []
-    for now_ns, _, packet in sorted(arrivals):
-        receiver.handle_packet(packet, now_ns)
-        while (event := receiver.next_event()) is not None:
-            came.append(event)
-    assert receiver.counts.rtp_lost == receiver.counts.rtp_late == 0
-    assert len(came) >= 149 * 5 - 30
-    assert [event.lost_before for event in came] == [0] * len(came)

@@ -3,17 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from coding_loop import (
-    FPS,
-    SHARE_OCTETS,
-    blocks,
-    decode,
-    encode,
-    enlarged,
-    keys,
-    moving,
-    octets,
-)
+from coding_loop import FPS, SHARE_OCTETS, blocks, decode, encode, enlarged, keys, moving, octets
 from common import psnr_db
 
 from kontur_av.codecs.coding import Coding
