@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 
+from common import PATIENCE_S
+
 from kontur_av.clock import MonotonicClock
 from kontur_av.media import AccessUnit, CaptureStamp
 from pipelines.partner.ice_servers import IceServers
@@ -49,7 +51,7 @@ async def kept(url, make_peer, token, servers=IceServers):
         await running
 
 
-async def until(true, patience_s=20):
+async def until(true, patience_s=PATIENCE_S):
     async with asyncio.timeout(patience_s):
         while not true():
             await asyncio.sleep(0.01)
