@@ -15,35 +15,26 @@ MODULE = """
 from kontur_av.media import AudioFrame, CaptureStamp
 import numpy as np
 
-
 class Grey:
+    faults, last_fault = 0, ""
     def __init__(self, name, width, height, fps, clock, level="7"):
-        self.faults, self.last_fault = 0, ""
-        self.level, self.name, self.clock = int(level), name, clock
-
+        self.level, self.stamp = int(level), CaptureStamp(clock.now_ns(), 0, name)
     def read(self, into, timeout_ns):
         into.fill(self.level)
-        return CaptureStamp(self.clock.now_ns(), 0, self.name)
-
+        return self.stamp
     def close(self): ...
-
 
 class Quiet:
+    faults, last_fault = 0, ""
     def __init__(self, name, clock):
-        self.faults, self.last_fault = 0, ""
-        self.name, self.clock = name, clock
-
+        self.stamp = CaptureStamp(clock.now_ns(), 0, name)
     def read(self, timeout_ns):
-        samples = np.zeros(960, np.int16)
-        return AudioFrame(samples, CaptureStamp(self.clock.now_ns(), 0, self.name))
-
+        return AudioFrame(np.zeros(960, np.int16), self.stamp)
     def close(self): ...
-
 
 class Lost:
     def __init__(self, *_):
         raise OSError("no such camera")
-
 
 broken = 3
 """
