@@ -3,12 +3,7 @@
 import pytest
 
 from pipelines.hand.desks import STATUS_NS, JoystickStatusTeller, RobotDesk
-from pipelines.hand.hand_topics import (
-    STATUS_OCTETS,
-    HandRequest,
-    pack_request,
-    unpack_status,
-)
+from pipelines.hand.hand_topics import STATUS_OCTETS, HandRequest, pack_request, unpack_status
 from pipelines.session.mission_messages import RobotCommand, RobotOrder
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.device.handle import OperatedHandle

@@ -5,14 +5,7 @@ from math import atan2, cos, hypot, pi, sin, tau
 
 import pytest
 
-from telepresence.haptics.board import (
-    LEDS_M,
-    LIGHTS_M,
-    Board,
-    WallModel,
-    contour_point,
-    led_at,
-)
+from telepresence.haptics.board import LEDS_M, LIGHTS_M, Board, WallModel, contour_point, led_at
 from telepresence.world.board import contour_m
 
 

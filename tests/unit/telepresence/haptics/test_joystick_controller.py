@@ -10,11 +10,7 @@ from haptic_walks import walks
 
 from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
-from telepresence.haptics.sample import (
-    STATE_APPLICATION,
-    Feedback,
-    pack_feedback,
-)
+from telepresence.haptics.sample import STATE_APPLICATION, Feedback, pack_feedback
 
 MODEL = JoystickControllerModel()
 

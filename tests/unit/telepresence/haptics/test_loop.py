@@ -7,7 +7,7 @@ import pytest
 from haptic_pair import MS
 from haptic_samples import unpack_command, unpack_feedback
 from haptic_session import begin_session
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS

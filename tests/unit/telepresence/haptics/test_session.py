@@ -4,9 +4,7 @@ from itertools import pairwise
 
 import pytest
 
-from telepresence.haptics.sample import (
-    Greeting,
-)
+from telepresence.haptics.sample import Greeting
 from telepresence.haptics.session import JoystickSession, RobotSession
 
 MS = 1_000_000

@@ -124,3 +124,6 @@ def test_an_exercise_makes_every_reading_a_fault_until_its_end():
     assert supervisor.plausible == pytest.approx((0.11, 0.09, 8.0))
     assert supervisor.handle_reading(REST._replace(x_m=0.2), 60 * MS) is Health.FAULT
     assert "+200 mm" in supervisor.reason
+    # A device that is gone is worse than any exercise.
+    supervisor.handle_exercise(1000 * MS)
+    assert supervisor.handle_reading(REST._replace(present=False), 61 * MS) is Health.FATAL

@@ -149,23 +149,6 @@ def test_a_wall_that_turns_under_load_turns_the_force_within_its_rate(degrees):
     assert renderer.tank_j == pytest.approx(tank_j)
 
 
-def test_no_motion_in_and_out_of_walls_that_jump_gains_energy():
-    renderer = WallRenderer()
-    given_j = 0.0
-    x_m = 0.05
-    renderer.step(x_m, 0.0, MS)
-    for k in range(20_000):
-        if k % 50 == 0:
-            wall = Wall(0.0, 0.04 + 0.03 * ((k // 50) % 3) / 2, 100.0 + 2000.0 * (k // 100 % 2))
-            renderer.handle_wall(WallMessage(k + 1, wall))
-        force = renderer.force_n[0]
-        step_m = 0.00015 if (k // 200) % 2 else -0.00015
-        x_m += step_m
-        given_j += force * step_m
-        assert given_j <= renderer.model.start_j + 1e-9
-        renderer.step(x_m, 0.0, MS)
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_no_motion_among_walls_that_turn_and_jump_gains_energy(seed):
     source = random.Random(seed)
