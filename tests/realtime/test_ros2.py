@@ -9,15 +9,13 @@ import av
 import cv2
 import numpy as np
 import pytest
-from janus_room import free_port
 from mcap.records import Metadata
 from ros2_peer import Ros2Peer, hash_of
-from running_session import assert_sound, eventually
+from running_session import RunningSession, assert_sound, eventually, tcp_port
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.h26x import H264Decoder
 from pipelines.hand.hand_topics import unpack_status
-from pipelines.hand.haptic_trace import DEAD_MAN
 from pipelines.mission.tmtc_messages import SendK2aci
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.recording.facts import FACTS, RecordingFacts
@@ -30,12 +28,9 @@ from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
 from pipelines.table import topology_of
-from telepresence.haptics.device.page import FACTS as HANDLE
 from telepresence.haptics.device.states import JoystickState
 
-pytestmark = pytest.mark.realtime
-
-pytest.importorskip("zenoh_ros2_sdk", reason="zenoh-ros2-sdk is not installed")
+pytest.importorskip("zenoh_ros2_sdk", reason="zenoh-ros2-sdk: pip install zenoh-ros2-sdk")
 
 
 def topics_of(setup):
@@ -88,100 +83,103 @@ def counted(found, came, numbers, missed):
     assert len(within) == len(came) + lost(numbers) + missed
 
 
-def test_a_node_of_others_hears_what_is_recorded(start, tmp_path, monkeypatch):
-    port, path = free_port(), tmp_path / "run.mcap"
-    # With each picture recorded, whichever of them the node chooses is in the file.
-    setup = tmp_path / "whole.toml"
-    setup.write_text(setup_toml(replace(load_setup("taskboard"), recorded_cameras="all")))
-    session = start(str(setup), "--ros2", str(port), "--record", str(path))
-    topics = topics_of(session.setup)
-    setup_topic = next(topic for topic in topics if topic.endswith("/setup"))
-    late = "/kontur_av/uplink_video/received"
-    early = {key: topics[key] for key in topics if key not in (setup_topic, late)}
-    peer = Ros2Peer(port, early, tmp_path)
-    session.wait_for_flow()
-    peer.say("late", late, topics[late])
-    for topic in ("/kontur_av/camera/static/compressed", late):
-        eventually(lambda topic=topic: peer.heard(topic) > 40, f"messages of {topic}")
-    said = SendK2aci("test", 1, "Chat", {"sender": "cosmonaut", "text": "Здесь хорошо"})
-    with session.bus(monkeypatch):
-        assert send_to_tmtc(session.session, Segment.SPACE, said)
-    peer.say("latched", setup_topic)
-    eventually(lambda: peer.heard(setup_topic), "the latched setup")
-    eventually(lambda: peer.heard("/diagnostics") > 1, "diagnostics")
-    eventually(lambda: peer.heard("/kontur_av/chat"), "the chat")
-    code, report = session.interrupt()
-    heard = peer.end()
-    assert code == 0, (session.errors(), report["failures"])
-    assert_sound(report)
-    messages, numbers = heard["messages"], heard["numbers"]
-    counts, recorded = report["processes"]["ros2"]["counts"], Recorded(path)
+LATE = "/kontur_av/uplink_video/received"
 
-    def missed(topic):
-        return counts.get(f"missed_{topic}", 0)
 
-    # Names, types, hashes: all topics are in the graph of the other side.
-    ours = [token.split("/") for token in heard["tokens"] if "%kontur_av/session" in token]
+class Run:
+    """One recorded session beside a node of others. heard: all that came there."""
+
+    def __init__(self, top):
+        port, path = tcp_port(), top / "run.mcap"
+        # With each picture recorded, whichever of them the node chooses is in the file.
+        setup = top / "whole.toml"
+        setup.write_text(setup_toml(replace(load_setup("taskboard"), recorded_cameras="all")))
+        options = ("--ros2", str(port), "--record", str(path))
+        with RunningSession(str(setup), *options, directory=top) as session:
+            self.topics = topics_of(session.setup)
+            self.setup_topic = next(one for one in self.topics if one.endswith("/setup"))
+            own = {self.setup_topic, LATE}
+            early = {key: kind for key, kind in self.topics.items() if key not in own}
+            peer = Ros2Peer(port, early, top)
+            session.wait_for_flow()
+            peer.say("late", LATE, self.topics[LATE])
+            said = SendK2aci("test", 1, "Chat", {"sender": "cosmonaut", "text": "Здесь хорошо"})
+            with pytest.MonkeyPatch.context() as patch, session.bus(patch):
+                assert send_to_tmtc(session.session, Segment.SPACE, said)
+            peer.say("latched", self.setup_topic)
+            for topic, more_than in (
+                *((one, 40) for one in ("/kontur_av/camera/static/compressed", LATE)),
+                *((self.setup_topic, 0), ("/diagnostics", 1), ("/kontur_av/chat", 0)),
+            ):
+                eventually(lambda at=(topic, more_than): peer.heard(at[0]) > at[1], topic)
+            self.code, self.report = session.interrupt()
+            heard = peer.end()
+            assert self.code == 0, (session.errors(), self.report["failures"])
+        self.messages, self.numbers, self.tokens = (
+            heard[key] for key in ("messages", "numbers", "tokens")
+        )
+        self.recorded = Recorded(path)
+
+    def missed(self, topic):
+        return self.report["processes"]["ros2"]["counts"].get(f"missed_{topic}", 0)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return Run(tmp_path_factory.mktemp("ros2"))
+
+
+def test_the_graph_of_others_has_names_types_and_hashes_of_all_topics(run):
+    assert_sound(run.report)
+    ours = [token.split("/") for token in run.tokens if "%kontur_av/session" in token]
     graph = {one[9].replace("%", "/"): one[10:] for one in ours if one[5] == "MP"}
     assert {topic: told[1] for topic, told in graph.items()} == {
-        topic: hash_of(kind) for topic, kind in topics.items()
+        topic: hash_of(kind) for topic, kind in run.topics.items()
     }
 
-    for way, topic in (("sent", "sent/uplink_video"), ("received", "coded/uplink_video")):
-        name, units = f"/kontur_av/uplink_video/{way}", recorded.units(f"/uplink_video/{way}")
-        came = {wall_ns(one["timestamp"]): one for one in messages[name]}
-        assert len(came) == len(messages[name]) > 40
-        own = [at_ns for at_ns in came if at_ns in units]
-        for at_ns in own:
-            assert came[at_ns]["data"].endswith(units[at_ns]) and came[at_ns]["format"] == "h264"
-        counted(units, own, numbers[name], missed(topic))
-        # Whoever comes late gets a key picture, from which on everything can be decoded.
-        added = [at_ns for at_ns in came if at_ns not in units]
-        assert all(at_ns + 1000 in own for at_ns in added) and 0 < len(added) <= 4
-        decoder, since = H264Decoder(), list(came).index(added[0])
-        for at_ns in list(came)[since:]:
-            assert len(list(decoder.decode(came[at_ns]["data"], 0))) == 1
-        assert len(came) - since > 30
 
-    for end, channel, topic in (
+@pytest.mark.parametrize(
+    ("way", "topic"), [("sent", "sent/uplink_video"), ("received", "coded/uplink_video")]
+)
+def test_a_node_hears_the_recorded_units_and_begins_with_a_key_picture(run, way, topic):
+    name, units = f"/kontur_av/uplink_video/{way}", run.recorded.units(f"/uplink_video/{way}")
+    came = {wall_ns(one["timestamp"]): one for one in run.messages[name]}
+    assert len(came) == len(run.messages[name]) > 40
+    own = [at_ns for at_ns in came if at_ns in units]
+    for at_ns in own:
+        assert came[at_ns]["data"].endswith(units[at_ns]) and came[at_ns]["format"] == "h264"
+    counted(units, own, run.numbers[name], run.missed(topic))
+    added = [at_ns for at_ns in came if at_ns not in units]
+    assert all(at_ns + 1000 in own for at_ns in added) and added
+    # From there on everything can be decoded.
+    decoder, since = H264Decoder(), list(came).index(added[0])
+    for at_ns in list(came)[since:]:
+        assert len(list(decoder.decode(came[at_ns]["data"], 0))) == 1
+
+
+@pytest.mark.parametrize(
+    ("end", "channel", "topic"),
+    [
         ("tip", "/haptic/up/sent", "haptic/robot"),
         ("handle", "/haptic/down/sent", "haptic/joystick"),
-    ):
-        blocks = recorded.blocks(channel)
-        for kind in ("pose", "twist", "wrench"):
-            came = messages[f"/kontur_av/{end}/{kind}"]
-            stamps = [wall_ns(one["header"]["stamp"]) for one in came]
-            counted(blocks, stamps, numbers[f"/kontur_av/{end}/{kind}"], missed(topic))
-            for at_ns, one in zip(stamps, came, strict=True):
-                row, first = blocks[at_ns][-1], blocks[at_ns][0]
-                if kind == "pose":
-                    told, value = one["pose"]["position"], (row["x_m"], row["y_m"])
-                elif kind == "wrench":
-                    told, value = one["wrench"]["force"], (row["fx_n"], row["fy_n"])
-                else:
-                    seconds = (row["time_ns"] - first["time_ns"]) / NS_PER_S
-                    moved = (float(row[key]) - float(first[key]) for key in ("x_m", "y_m"))
-                    told, value = one["twist"]["linear"], [each / seconds for each in moved]
-                assert (told["x"], told["y"]) == pytest.approx(tuple(map(float, value)))
-    blocks, halves = recorded.blocks("/haptic/down/sent"), []
-    for one in messages["/kontur_av/handle/joy"]:
-        row, (left, up) = blocks[wall_ns(one["header"]["stamp"])][-1], one["axes"]
-        if min(abs(left), abs(up)) > 0.01:
-            halves.append((-row["x_m"] / left, row["y_m"] / up))
-        assert one["buttons"] == [0, 0, 0, 0, int(bool(row["flags"] & DEAD_MAN))]
-    # Shares of the workspace that the calibration has found.
-    assert len(halves) > 10 and np.allclose(halves, halves[0], rtol=1e-3)
-    assert halves[0] == pytest.approx((HANDLE.half_width_m, HANDLE.half_height_m), rel=0.03)
+    ],
+)
+def test_a_node_hears_where_the_recording_has_the_hand(run, end, channel, topic):
+    blocks, name = run.recorded.blocks(channel), f"/kontur_av/{end}/pose"
+    stamps = [wall_ns(one["header"]["stamp"]) for one in run.messages[name]]
+    counted(blocks, stamps, run.numbers[name], run.missed(topic))
+    for at_ns, one in zip(stamps, run.messages[name], strict=True):
+        row, told = blocks[at_ns][-1], one["pose"]["position"]
+        assert (told["x"], told["y"]) == pytest.approx((float(row["x_m"]), float(row["y_m"])))
 
-    # The picture of the static camera is as its recorded one.
-    pictures = recorded.channels["/camera/static"]
-    stamps = sorted(pictures)
+
+def test_a_node_sees_the_recorded_pictures_of_a_camera(run):
+    pictures = run.recorded.channels["/camera/static"]
     decoder, decoded = av.CodecContext.create("h264", "r"), {}
-    for at_ns in stamps:
+    for at_ns in sorted(pictures):
         for picture in decoder.decode(av.Packet(unpack(RecordedPicture, pictures[at_ns]).data)):
             decoded[at_ns] = picture.to_ndarray(format="bgr24")
-    images = messages["/kontur_av/camera/static/compressed"]
-    same = 0
+    images, same = run.messages["/kontur_av/camera/static/compressed"], 0
     for one in images:
         at_ns = wall_ns(one["header"]["stamp"])
         image = cv2.imdecode(np.frombuffer(one["data"], np.uint8), cv2.IMREAD_COLOR)
@@ -190,9 +188,11 @@ def test_a_node_of_others_hears_what_is_recorded(start, tmp_path, monkeypatch):
             assert cv2.PSNR(image, decoded[at_ns]) > 25
     assert same > 0.9 * len(images) > 36
 
-    assert [one["data"] for one in messages["/kontur_av/chat"]] == ["cosmonaut: Здесь хорошо"]
-    assert [one["data"] for one in messages[setup_topic]] == [recorded.facts.setup_toml]
-    status = messages["/diagnostics"][-1]["status"]
+
+def test_a_node_hears_chat_setup_and_diagnostics(run):
+    assert [one["data"] for one in run.messages["/kontur_av/chat"]] == ["cosmonaut: Здесь хорошо"]
+    assert [one["data"] for one in run.messages[run.setup_topic]] == [run.recorded.facts.setup_toml]
+    status = run.messages["/diagnostics"][-1]["status"]
     assert (status[0]["level"], status[0]["message"]) == (0, "well")
     told = {
         each["key"]: each["value"]
@@ -200,7 +200,11 @@ def test_a_node_of_others_hears_what_is_recorded(start, tmp_path, monkeypatch):
         for each in one["values"]
         if one["name"] == "kontur_av: streams uplink_video"
     }
-    assert 0 < int(told["frames_sent"]) <= report["streams"]["uplink_video"]["frames_sent"]
+    assert 0 < int(told["frames_sent"]) <= run.report["streams"]["uplink_video"]["frames_sent"]
+
+
+#: Of the robot's own time.
+HOLD_NS = 300_000_000
 
 
 class Robot:
@@ -225,7 +229,7 @@ class Robot:
         return state.x_m, state.y_m
 
     def rests(self):
-        """Its place, after it has come to rest and not moved for half a second."""
+        """Its place, after it has come to rest and not moved for `HOLD_NS`."""
         eventually(lambda: not self.held(), "the release")
 
         def still():
@@ -234,14 +238,14 @@ class Robot:
             return self.place() == pytest.approx(before, abs=1e-5)
 
         eventually(still, "the rest")
-        before = self.place()
-        time.sleep(0.5)
-        assert self.place() == pytest.approx(before, abs=5e-5)
-        return before
+        first = unpack_state(self.newest(ROBOT_TOPIC))
+        while (state := unpack_state(self.newest(ROBOT_TOPIC))).time_ns < first.time_ns + HOLD_NS:
+            assert (state.x_m, state.y_m) == pytest.approx((first.x_m, first.y_m), abs=5e-5)
+        return first.x_m, first.y_m
 
 
 def test_a_node_of_others_moves_the_robot_under_its_dead_man_button(start, tmp_path, monkeypatch):
-    port = free_port()
+    port = tcp_port()
     session = start("taskboard", "--ros2", str(port), "--joystick", "ros2")
     pids = session.pids()
     peer = Ros2Peer(port, {}, tmp_path)
@@ -263,9 +267,8 @@ def test_a_node_of_others_moves_the_robot_under_its_dead_man_button(start, tmp_p
         rest = robot.rests()
         peer.say("joy", -0.5, 0.0, True)
         assert robot.rests() == pytest.approx(rest, abs=1e-4)
-        peer.say("joy", 0.5, 0.0, False)
-        time.sleep(0.5)
         # A velocity without the button moves nothing.
+        peer.say("joy", 0.5, 0.0, False)
         peer.say("twist", 0.02)
         assert robot.rests() == pytest.approx(rest, abs=1e-4)
         peer.say("joy", 0.5, 0.0, True)

@@ -1,15 +1,15 @@
 """YAMCS reads a session's telemetry and commands it; all it has is what the recording has."""
 
 import base64
-import os
 import time
 from collections import Counter, defaultdict
 from datetime import UTC, datetime
 from math import isnan
+from types import SimpleNamespace
 
 import pytest
-from janus_room import free_port
-from running_session import assert_sound, eventually, free_pair
+from common import repeats
+from running_session import RunningSession, assert_sound, eventually, free_pair, tcp_port
 from yamcs import Yamcs, milliseconds, new_instance, value_of
 
 from pipelines.recording.joined import JoinedRecording, read_part
@@ -21,10 +21,8 @@ from telepresence.tmtc.pus.node import K2ACI_SERVICE
 from telepresence.tmtc.pus.packets import ns_from_cuc, parse_packet
 from telepresence.tmtc.pus.user import EventReport, HousekeepingReport, ParameterReport, PusUser
 
-pytestmark = pytest.mark.realtime
-
 #: Of telemetry that is compared.
-SECONDS = int(os.environ.get("KONTUR_YAMCS_SECONDS", "20"))
+SECONDS = repeats(5)
 STAGES = ("Acknowledge_Sent", "Verifier_Accepted", "Verifier_Started", "CommandComplete")
 MS = 1_000_000
 #: Frames that the ground's gateway handles.
@@ -96,105 +94,118 @@ def compare_frames(yamcs, path):
         print(f"{way}: {lost} lost of {dict(sorted(here.items()))} by virtual channel")
 
 
-def assert_calibration_is_refused(yamcs):
-    """The joystick is in use, and says so in its report."""
-    told = yamcs.do("joystick_calibrate")
-    assert told["Verifier_Accepted_Status"] == "OK"
-    assert "not in the state application" in told["CommandComplete_Message"]
-
-
 def equal(one, other):
     if isinstance(one, float) and isinstance(other, float):
         return (isnan(one) and isnan(other)) or one == pytest.approx(other, rel=1e-6, abs=1e-9)
     return one == other
 
 
-def test_yamcs_has_what_the_recording_has_and_its_telecommands_are_verified(start, tmp_path):
-    port, http, path = free_port(), free_port(), tmp_path / "run.mcap"
-    frames = f"udp:127.0.0.1:{free_pair()}"
-    ground = tmp_path / "ground"
+TELECOMMANDS = {
+    "joystick_halt": {},
+    "joystick_resume": {},
+    "camera_select": {"camera": "static"},
+    "tasks_select": {"task": 0},
+    "robot_get": {"which": "x"},
+}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A recorded session whose telemetry YAMCS has, and its second life, which is up."""
+    top = tmp_path_factory.mktemp("yamcs")
+    port, http = (tcp_port() for _ in range(2))
+    path, ground, frames = top / "run.mcap", top / "ground", f"udp:127.0.0.1:{free_pair()}"
     options = ("--setup", "taskboard", "--packets", f"tcp:{port}", "--http-port", http)
     new_instance(ground, *options, "--frames", frames)
-    session = start(
-        "taskboard",
-        *("--packets", f"tcp:{port}", "--packets-allow", "joystick", "--tasks"),
+    with RunningSession(
+        *("taskboard", "--packets", f"tcp:{port}", "--packets-allow", "joystick", "--tasks"),
         *("--record", str(path), "--link-frames", "--frames", frames),
         *("--packets-allow", "camera.select", "--packets-allow", "tasks"),
-    )
-    session.wait_for_flow()
-    with Yamcs(ground, http) as yamcs:
-        eventually(yamcs.is_linked, "YAMCS' connection")
-        for way in WAYS:
-            yamcs.keep_frames(way)
-        begin_ms = time.time_ns() // MS + 100
-        time.sleep(0.2)
-        assert_calibration_is_refused(yamcs)
-        for name, arguments in (
-            ("joystick_halt", {}),
-            ("joystick_resume", {}),
-            ("camera_select", {"camera": "static"}),
-            ("tasks_select", {"task": 0}),
-            ("robot_get", {"which": "x"}),
-        ):
-            told = yamcs.do(name, **arguments)
-            message = told.get("CommandComplete_Message")
-            assert [told[f"{stage}_Status"] for stage in STAGES] == ["OK"] * 4, (name, message)
-        # Refused where it is carried out, and because --packets-allow does not name it.
-        told = yamcs.do("tasks_select", task=200)
-        assert told["CommandComplete_Status"] == "NOK"
-        assert "no task 200" in told["CommandComplete_Message"]
-        told = yamcs.do("robot_power_off")
-        assert told["Verifier_Accepted_Status"] == told["CommandComplete_Status"] == "NOK"
-        assert "--packets-allow" in told["Verifier_Accepted_Message"]
-        time.sleep(max(0, SECONDS + begin_ms / 1000 - time.time()))
-        end_ms = time.time_ns() // MS
-        time.sleep(1)
-        for way in WAYS:
-            assert yamcs.links()[way]["extra"]["Invalid frames"] == "0"
-    with Yamcs(ground, http) as yamcs:
-        # Its counts begin anew, so that this is the very telecommand of its last life.
-        eventually(yamcs.is_linked, "the connection of the restarted YAMCS")
-        assert_calibration_is_refused(yamcs)
-        code, report = session.interrupt()
-        assert code == 0, (session.errors(), report["failures"])
-        assert_sound(report)
-        compare_frames(yamcs, path)
-        packets, values = recorded(path, begin_ms, end_ms)
-        window = {"start": iso(begin_ms), "stop": iso(end_ms), "order": "asc"}
-        rows = yamcs.all("archive/kontur_av/packets", "packet", **window, limit=1000)
-        got = [base64.b64decode(row["packet"]) for row in rows]
-        refusals = [one for one in got if one[7:9] == bytes([1, 2])]
-        assert sorted(packets) == sorted(set(got) - set(refusals))
-        assert len(packets) > 2 * SECONDS
-        assert len(refusals) == 1
-        # The archive replays: every parameter has each value, at its instant.
-        compared = 0
-        for application in built_in_dictionary().applications:
-            for parameter in application.parameters:
-                name = f"{application.name}_{parameter.name}"
-                replayed = yamcs.all(
-                    f"archive/kontur_av/parameters/kontur_av/{name}",
-                    "parameter",
-                    **window,
-                    source="replay",
-                    limit=1000,
-                )
-                told = sorted(values[name], key=lambda one: one[0])
-                assert len(replayed) == len(told), name
-                for row, (unix_ns, one) in zip(replayed, told, strict=True):
-                    assert abs(milliseconds(row["generationTime"]) - unix_ns / MS) < 2, name
-                    assert equal(value_of(row["engValue"]), one), (name, row, one)
-                compared += len(told)
-        print(f"{len(packets)} packets and {compared} values are equal")
-    counts = report["processes"]["packets"]["counts"]
+        directory=top,
+    ) as session:
+        session.wait_for_flow()
+        with Yamcs(ground, http) as yamcs:
+            eventually(yamcs.is_linked, "YAMCS' connection")
+            for way in WAYS:
+                yamcs.keep_frames(way)
+            begin_ms = time.time_ns() // MS
+            first = yamcs.do("joystick_calibrate")
+            told = {name: yamcs.do(name, **arguments) for name, arguments in TELECOMMANDS.items()}
+            told["no task"] = yamcs.do("tasks_select", task=200)
+            told["not allowed"] = yamcs.do("robot_power_off")
+            eventually(lambda: time.time_ns() // MS > begin_ms + 1000 * (SECONDS + 1), "telemetry")
+            links = yamcs.links()
+            # What was sent before has come.
+            end_ms = time.time_ns() // MS - 1000
+        with Yamcs(ground, http) as yamcs:
+            # Its counts begin anew, so that this is the very telecommand of its last life.
+            eventually(yamcs.is_linked, "the connection of the restarted YAMCS")
+            again = yamcs.do("joystick_calibrate")
+            code, report = session.interrupt()
+            assert code == 0, (session.errors(), report["failures"])
+            packets, values = recorded(path, begin_ms, end_ms)
+            window = {"start": iso(begin_ms), "stop": iso(end_ms), "order": "asc"}
+            yield SimpleNamespace(**locals())
+
+
+def test_telecommands_are_verified_or_refused_where_they_belong(run):
+    for name in TELECOMMANDS:
+        told = run.told[name]
+        message = told.get("CommandComplete_Message")
+        assert [told[f"{stage}_Status"] for stage in STAGES] == ["OK"] * 4, (name, message)
+    # The joystick is in use, and says so in its report; also to the next life of YAMCS.
+    for told in (run.first, run.again):
+        assert told["Verifier_Accepted_Status"] == "OK"
+        assert "not in the state application" in told["CommandComplete_Message"]
+    # Refused where it is carried out, and because --packets-allow does not name it.
+    told = run.told["no task"]
+    assert told["CommandComplete_Status"] == "NOK"
+    assert "no task 200" in told["CommandComplete_Message"]
+    told = run.told["not allowed"]
+    assert told["Verifier_Accepted_Status"] == told["CommandComplete_Status"] == "NOK"
+    assert "--packets-allow" in told["Verifier_Accepted_Message"]
+
+
+def test_the_archive_has_the_packets_of_the_recording(run):
+    rows = run.yamcs.all("archive/kontur_av/packets", "packet", **run.window, limit=1000)
+    got = [base64.b64decode(row["packet"]) for row in rows]
+    refusals = [one for one in got if one[7:9] == bytes([1, 2])]
+    assert sorted(run.packets) == sorted(set(got) - set(refusals))
+    assert len(run.packets) > 2 * SECONDS and len(refusals) == 1
+
+
+def test_the_archive_replays_every_value_at_its_instant(run):
+    compared = 0
+    for application in built_in_dictionary().applications:
+        for parameter in application.parameters:
+            name = f"{application.name}_{parameter.name}"
+            where = f"archive/kontur_av/parameters/kontur_av/{name}"
+            replayed = run.yamcs.all(where, "parameter", **run.window, source="replay", limit=1000)
+            told = sorted(run.values[name], key=lambda one: one[0])
+            assert len(replayed) == len(told), name
+            for row, (unix_ns, one) in zip(replayed, told, strict=True):
+                assert abs(milliseconds(row["generationTime"]) - unix_ns / MS) < 2, name
+                assert equal(value_of(row["engValue"]), one), (name, row, one)
+            compared += len(told)
+    assert compared > 0
+
+
+def test_it_has_the_frames_of_each_virtual_channel(run):
+    assert {run.links[way]["extra"]["Invalid frames"] for way in WAYS} == {"0"}
+    compare_frames(run.yamcs, run.path)
+
+
+def test_the_report_counts_what_went_out_and_came_in(run):
+    assert_sound(run.report)
+    counts = run.report["processes"]["packets"]["counts"]
     assert counts["outside_commands"] == 8
     assert counts["outside_refused"] == 1
-    assert counts["outside_packets"] >= len(packets)
+    assert counts["outside_packets"] >= len(run.packets)
     for name in ("dropped", "excess", "garbage"):
         assert counts[f"outside_{name}"] == 0
     # Repetitions across the radio alone were known.
     told = Counter()
-    for process in report["processes"].values():
+    for process in run.report["processes"].values():
         told.update(process["counts"])
     assert told["pus_duplicates"] <= told["pus_telecommands_repeated"]
-    assert report["processes"]["frames"]["counts"]["copies_unsent"] == 0
+    assert run.report["processes"]["frames"]["counts"]["copies_unsent"] == 0
