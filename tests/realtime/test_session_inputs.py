@@ -15,30 +15,16 @@ from running_session import assert_sound, eventually
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
 
-pytestmark = pytest.mark.realtime
-
-
-def rtp(payload_type, payload, *, first=0x80, ssrc=0xDEADBEEF, sequence=7):
-    return struct.pack("!BBHII", first, payload_type, sequence, 1234, ssrc) + payload
-
 
 def garbage():
     rng = random.Random(2)
-    yield b""
-    yield b"\x80"
-    for length in (1, 11, 12, 13, 28, 32, 500, 501, 1400, 9000, 60_000):
-        yield rng.randbytes(length)
-    for length in (12, 32, 500):
-        yield bytes(length)
-        yield b"\xff" * length
-    for payload_type in (0, 96, 97, 96 | 0x80):
-        for payload in (b"", b"\x7c\x85junk", b"\x78\x00\xff\x67", rng.randbytes(300)):
-            yield rtp(payload_type, payload, ssrc=rng.getrandbits(32))
-    for first in (0x8F, 0x90, 0xA0, 0xBF):  # more sources, extension, padding than there is
-        yield rtp(96, b"\x00\x01\xff\xff", first=first)
-    for packet_type in (200, 201, 202, 203, 204, 205, 206):
-        for length in (0, 1, 6, 0xFFFF):
-            yield struct.pack("!BBHI", 0x81, packet_type, length, 0xDEADBEEF) + rng.randbytes(20)
+    yield from (b"", b"\x80", bytes(32), b"\xff" * 500)
+    yield from (rng.randbytes(length) for length in (1, 12, 28, 32, 501, 1400, 9000, 60_000))
+    for payload_type in (96, 97, 96 | 0x80):
+        header = struct.pack("!BBHII", 0x80, payload_type, 7, 1234, rng.getrandbits(32))
+        yield from (header + payload for payload in (b"", b"\x7c\x85junk", rng.randbytes(300)))
+    for packet_type in (200, 202, 205, 206):
+        yield struct.pack("!BBHI", 0x81, packet_type, 0xFFFF, 0xDEADBEEF) + rng.randbytes(20)
 
 
 def test_garbage_on_every_port_is_counted_and_dropped(start):
@@ -66,7 +52,6 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
             # No flood, because a full socket drops datagrams without a count.
             if index % 4 == 0:
                 time.sleep(0.02)
-    session.wait_for_flow()
     session.wait_for_flow()
     code, report = session.interrupt()
     assert code == 0, session.errors()
@@ -135,14 +120,13 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
 
         # Without a writer this input is silent, but the others are not.
         assert next_level() is None
-        for width, height, level in ((640, 480, 90), (320, 240, 150), (1280, 960, 210)):
+        for width, height, level in ((640, 480, 90), (320, 240, 150)):
             writer = write_pictures(fifo, width, height, level)
             eventually(
                 lambda level=level: abs((next_level() or 0) - level) < 4,
                 f"a picture of {width}x{height}",
             )
             writer.join()
-            session.wait_for_flow()
     # A camera without pictures is selected: the encoder waits for one, and no process fails.
     assert session.select("head").returncode == 0
     session.wait_for_flow(["uplink_voice", "downlink_video", "haptic_up", "haptic_down"])
@@ -151,7 +135,6 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
     for path in (film, voice):
         with path.open("r+b") as file:
             file.truncate(100)
-    time.sleep(1.5)
     session.wait_for_flow(["uplink_video", "downlink_voice", "haptic_up", "haptic_down"])
     code, report = session.interrupt()
     assert code == 0, session.errors()
