@@ -1,30 +1,70 @@
-"""Fixtures that start browsers and sessions with pages."""
+"""One Chromium for all tests here, with a camera of numbered pictures and a tone to hear."""
 
+import wave
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.register_assert_rewrite("browser", "running_session")
 
 import browser as browsers  # noqa: E402
+from numbered_pictures import write_pictures  # noqa: E402
 
 ROOM = Path(__file__).parent
+#: The first number of the camera's pictures; a tone that noise suppression takes for a voice.
+CAMERA_FROM, TONE_HZ, SOUND_HZ = 2001, 440, 48_000
 
 
 def pytest_collection_modifyitems(items):
     """Mark all tests here: they need a browser, and they start processes."""
-    lacking = browsers.missing()
     for item in items:
         if item.path.is_relative_to(ROOM):
             item.add_marker(pytest.mark.browser)
             item.add_marker(pytest.mark.realtime)
-            if lacking is not None:
-                item.add_marker(pytest.mark.skip(reason=lacking))
+
+
+def tone(hz, seconds=4, *, pauses=False):
+    at = np.arange(seconds * SOUND_HZ) / SOUND_HZ
+    return np.sin(2 * np.pi * hz * at) * 12_000 * (at % 1 < 0.5 if pauses else 1)
+
+
+def write_sound(path, samples):
+    with wave.open(str(path), "wb") as file:
+        file.setparams((1, 2, SOUND_HZ, 0, "NONE", ""))
+        file.writeframes(samples.astype("<i2").tobytes())
+
+
+@pytest.fixture(scope="session")
+def chromium(tmp_path_factory):
+    if (lacking := browsers.missing()) is not None:
+        pytest.skip(lacking)
+    directory = tmp_path_factory.mktemp("devices")
+    camera, microphone = directory / "camera.y4m", directory / "microphone.wav"
+    write_pictures(camera, 60, first=CAMERA_FROM)
+    write_sound(microphone, tone(TONE_HZ, pauses=True))
+    # A session over TLS has a certificate of its own.
+    flags = ["ignore-certificate-errors"]
+    with browsers.Browser(
+        camera=camera, microphone=microphone, flags=flags, size=(1280, 900)
+    ) as running:
+        yield running
+
+
+@pytest.fixture
+def browser(chromium):
+    """The browser without pages. No script of them may fail; their servers may go."""
+    chromium.begin_anew()
+    yield chromium
+    chromium.assert_no_errors(server_gone=True)
+    chromium.begin_anew()
 
 
 @pytest.fixture
 def start_browser():
     """start_browser(camera=..., ...): a running browser, which ends after the test in any case."""
+    if (lacking := browsers.missing()) is not None:
+        pytest.skip(lacking)
     started = []
 
     def start(**options):

@@ -7,15 +7,12 @@ import subprocess
 import pytest
 from janus_room import free_port
 from places import ROOT
+from programs import needs
 from running_session import RunningSession, end_with_the_tests, eventually
 from yamcs import Yamcs, milliseconds, new_instance, value_of
 
 PACKAGES = ROOT / ".ci" / "web" / "node_modules"
 NEEDED = ("openmct/dist/openmct.js", "http-server/bin/http-server")
-pytestmark = pytest.mark.skipif(
-    shutil.which("node") is None or not all((PACKAGES / one).exists() for one in NEEDED),
-    reason="run npm install in .ci/web",
-)
 #: Rows of the table of one parameter: its texts.
 ROWS = """
     return [...document.querySelectorAll(".c-telemetry-table__body tr")].map(
@@ -27,6 +24,9 @@ PARAMETER, WHICH = "robot_x", "x"
 @pytest.fixture
 def served(tmp_path):
     """served(port): the address of the sample before YAMCS at that port, by its README."""
+    needs("node")
+    if not all((PACKAGES / one).exists() for one in NEEDED):
+        pytest.skip("openmct: npm --prefix .ci/web install")
     site, started = tmp_path / "site", []
     shutil.copytree(ROOT / "samples" / "openmct", site)
     (site / "node_modules").symlink_to(PACKAGES)

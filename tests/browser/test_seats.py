@@ -58,6 +58,8 @@ def pictures(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def session(pictures, tmp_path_factory):
+    if (lacking := browsers.missing()) is not None:
+        pytest.skip(lacking)
     directory = tmp_path_factory.mktemp("session")
     with RunningSession(
         "spacejustin",

@@ -28,12 +28,10 @@ _NO_ANSWER = "net::ERR_"
 
 def missing():
     """Return in one line what these tests lack; None if nothing."""
-    lacking = [name for name in PROGRAMS if shutil.which(name) is None]
-    lacking += [] if find_spec("selenium") else ["selenium"]
-    if not lacking:
-        return None
-    mend = "apt-get install chromium chromium-driver; pip install selenium"
-    return f"no {', no '.join(lacking)}: {mend}"
+    for name in PROGRAMS:
+        if shutil.which(name) is None:
+            return f"{name}: apt-get install chromium chromium-driver"
+    return None if find_spec("selenium") else "selenium: pip install selenium"
 
 
 #: Whether a seat's page shows the present.
@@ -113,7 +111,7 @@ class Browser:
     def end(self):
         """End all processes and remove all files."""
         _signal(self.pids(), signal.SIGKILL)
-        if self._service.process is not None:
+        if getattr(self._service, "process", None) is not None:
             self._service.process.wait()
         eventually(lambda: self.pids() == [], "the browser's end")
         shutil.rmtree(self.directory, ignore_errors=True)
@@ -129,7 +127,7 @@ class Browser:
 
     def pids(self):
         """Return the pids of the driver and of all processes of Chromium."""
-        driver = self._service.process
+        driver = getattr(self._service, "process", None)
         return [] if driver is None else _of_session(driver.pid)
 
     def open(self, url, kind="window"):
@@ -157,6 +155,16 @@ class Browser:
             if entry["level"] == "SEVERE":
                 self._errors.append(entry)
         return [f"{entry['source']}: {entry['message']}" for entry in self._errors]
+
+    def begin_anew(self):
+        """Close all pages, and forget their errors."""
+        first, *others = self.driver.window_handles
+        for handle in others:
+            self.driver.switch_to.window(handle)
+            self.driver.close()
+        self.driver.switch_to.window(first)
+        self.errors()
+        self._errors.clear()
 
     def assert_no_errors(self, *, server_gone=False):
         """Assert that no script failed. server_gone: the test took the server away."""
@@ -218,15 +226,27 @@ class Page:
         """Write what a person sees as a PNG file."""
         Path(path).write_bytes(self.driver().get_screenshot_as_png())
 
+    def load(self, url, script):
+        """Load another address, and run a script before all of its own."""
+        driver = self.driver()
+        driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": script})
+        driver.get(url)
+
+    def show(self):
+        """Bring it to the front. A tab hides the one that was seen."""
+        self.driver()
+
     def reload(self, script):
         """Load the page anew, and run a script before all of its own."""
         driver = self.driver()
         driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": script})
         driver.refresh()
 
-    def show(self):
-        """Bring it to the front. A tab hides the one that was seen."""
-        self.driver()
+    def fit(self, width, height=844, scale=1, **more):
+        """Give the page a screen of its own."""
+        metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
+        driver = self.driver()
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {**metrics, **more})
 
     def driver(self):
         """Return selenium's driver, with this page in front."""
