@@ -136,12 +136,7 @@ def _with_helpers(file: Path) -> tuple[tuple[str, ...], ...]:
 
 
 def _has(texts: tuple[tuple[str, ...], ...], words: tuple[str, ...]) -> bool:
-    return any(
-        words == text[at : at + len(words)]
-        for text in texts
-        for at in range(len(text))
-        if text[at] == words[0]
-    )
+    return any(set(words) <= set(text) for text in texts)
 
 
 @cache

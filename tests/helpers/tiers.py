@@ -34,24 +34,46 @@ class Row:
     default: bool = False
 
 
-_DEFAULT, _MACHINE, _PEERS, _WAITS = (
-    lambda where: Row(f"tests/{where}", default=True),
-    lambda where, default=False: Row(f"tests/{where}", Lane.MACHINE, default),
-    lambda where, default=False: Row(f"tests/{where}", Lane.PEERS, default),
-    lambda where: Row(f"tests/{where}", Lane.WAITS),
-)
+def _rows(lane: Lane, default: bool, room: str, places: str = "") -> Iterator[Row]:
+    yield from (Row(f"tests/{room}{place}", lane, default) for place in places.split() or [""])
+
+
+#: The journeys: "realtime/" and "test_x.py::test_y" make "tests/realtime/test_x.py::test_y".
+_JOURNEYS = {
+    "realtime/": """
+        test_session.py::test_every_stream_flows_through_one_link
+        test_session_kills.py::test_each_process_is_killed_once
+        test_session_kills.py::test_processes_end_with_a_killed_launcher
+        test_recording.py::test_the_file_has_what_the_report_says
+        test_files.py::test_files_go_both_ways_across_a_loss_of_signal
+        test_safety.py::test_a_halt_outlives_the_joystick_and_a_stop_outlives_both
+        test_link_command.py::test_programs_talk_through_it_and_strangers_do_not
+        test_link_command.py::test_two_ends_that_trust_each_other_carry_datagrams
+        """,
+    "browser/": """
+        test_seats.py::test_both_seats_show_the_session
+        test_seats.py::test_a_pointer_moves_the_robot_and_its_release_stops_it
+        test_page_faults.py::test_a_page_comes_back_when_its_server_was_killed
+        test_page_layout.py::test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out
+        """,
+    "interop/": """
+        test_send_receive.py::test_gstreamer_shows_the_h264_that_we_send
+        test_send_receive.py::test_we_play_what_gstreamer_sends[h264-none]
+        """,
+}
+#: Modules of tests/realtime that mostly wait.
+_WAITING = """
+    test_bench_all_run test_bench_children test_bench_console test_command_output test_files
+    test_fresh_process test_launcher test_link_command test_maintain test_metrics
+    test_remote_update test_rtc_peers test_services test_upkeep test_whip_client
+    """
 
 TABLE = (
-    _DEFAULT("unit/"),
-    _DEFAULT("vectors/"),
-    _DEFAULT("fuzz/"),
-    _DEFAULT("sim/"),
-    _DEFAULT("web/"),
-    _DEFAULT("project/"),
-    _DEFAULT("samples/"),
-    _MACHINE("browser/"),
-    _MACHINE("realtime/"),
-    _PEERS("interop/"),
+    *_rows(Lane.ANY, True, "", "unit/ vectors/ fuzz/ sim/ web/ project/ samples/"),
+    *_rows(Lane.MACHINE, False, "", "realtime/ browser/"),
+    *_rows(Lane.PEERS, False, "interop/"),
+    *_rows(Lane.WAITS, False, "realtime/", _WAITING),
+    *(row for room, names in _JOURNEYS.items() for row in _rows(Lane.MACHINE, True, room, names)),
 )
 
 #: Who asks for one of these needs files that only the full tier has: real footage, real speech.

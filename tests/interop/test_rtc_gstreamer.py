@@ -55,7 +55,7 @@ def test_it_watches_publishes_and_stalls_alone(start, tmp_path):
         *(sys.executable, "-m", "pipelines.cli", "rtc", "serve"),
         *("--http", str(tcp_port())),
         *("--token", token, "--video", "scene:left", "--size", "320x240", "--fps", "15"),
-        *("--audio", "scene:ground_voice"),
+        *("--audio", "scene:ground_voice", "--voice-kbps", "24"),
         *("--report", "report.json", "--save", "seen.mkv", "--save-voice", "heard.mka"),
         *("--raw", "raw.y4m"),
     )

@@ -215,6 +215,7 @@ def imported(module: str) -> set[str]:
     return names
 
 
+@pytest.mark.rule("1")
 @pytest.mark.parametrize("package", ORDER)
 def test_imports_run_one_way(package):
     later = {*ORDER[ORDER.index(package) + 1 :], "."}
@@ -244,6 +245,7 @@ def rooms_of_pipelines(module: str) -> set[str]:
     return {room for package, *rest in found for room in rest if package == "pipelines"}
 
 
+@pytest.mark.rule("1")
 @pytest.mark.parametrize("tier", range(len(TIERS)), ids=lambda tier: "-".join(sorted(TIERS[tier])))
 def test_imports_of_pipelines_run_one_way(tier):
     above = set().union(*TIERS[tier:])
@@ -264,6 +266,7 @@ def test_every_room_of_pipelines_has_its_tier():
     assert len(in_the_root) <= MOST_IN_THE_ROOT
 
 
+@pytest.mark.rule("2")
 def test_cores_import_only_what_is_allowed():
     wrong = {
         module: found
@@ -273,6 +276,7 @@ def test_cores_import_only_what_is_allowed():
     assert not wrong, "a core is given the time and the octets; a new shell is named in SHELLS"
 
 
+@pytest.mark.rule("2")
 def test_cores_import_no_shell():
     wrong = {
         module: found
@@ -283,6 +287,27 @@ def test_cores_import_no_shell():
         and (found := names_from_shells(module))
     }
     assert not wrong, "a core is handed what a shell has read"
+
+
+def cores_imported(module: str) -> set[str]:
+    """The cores that a module imports and that are driven with `now_ns`."""
+    names: set[str] = set()
+    for node in imports_of(ROOT / module):
+        if isinstance(node, ast.ImportFrom):
+            names |= {node.module or "", *(f"{node.module}.{one.name}" for one in node.names)}
+    files = {name.replace(".", "/") + ".py" for name in names} & {*modules()}
+    return {
+        file
+        for file in files
+        if not is_shell(file) and "now_ns" in (ROOT / file).read_text(encoding="utf-8")
+    }
+
+
+@pytest.mark.rule("3")
+def test_every_process_shares_a_core_with_the_simulation():
+    simulated = set().union(*map(cores_imported, (ROOT / "pipelines").glob("virtual/*.py")))
+    processes = [module for module in modules() if PROCESS.fullmatch(module)]
+    assert [one for one in processes if not cores_imported(one) & simulated] == []
 
 
 def test_the_lists_have_no_unused_entry():

@@ -27,10 +27,9 @@ def test_each_option_has_a_test():
 def test_a_unit_test_lies_where_its_module_lies(package):
     """tests/unit/pkg/room/test_x.py tests pkg/room/x.py, or the package x."""
     room = ROOT / "tests" / "unit"
-    tested = {
-        file: ROOT / file.relative_to(room).with_name(file.name.removeprefix("test_"))
+    guesses = {
+        file: ROOT / file.relative_to(room).with_name(file.stem.removeprefix("test_"))
         for file in (room / package).rglob("test_*.py")
     }
-    assert [
-        str(file) for file, of in tested.items() if not of.exists() or of.with_suffix("").is_dir()
-    ] == []
+    lost = (f for f, at in guesses.items() if not (at.is_dir() or at.with_suffix(".py").exists()))
+    assert [str(file) for file in lost] == []

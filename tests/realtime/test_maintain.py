@@ -70,17 +70,21 @@ def test_beside_a_session_it_waits_for_contact_and_does_nothing_in_an_experiment
     session = start("taskboard", "--tasks", "--trainer")
     session.wait_for_flow()
     script = tmp_path / "pass.txt"
-    log = tmp_path / "pass.txt.log"
+    log = tmp_path / "own.log"
 
     def maintain(text):
         log.unlink(missing_ok=True)
         script.write_text(text)
-        answer = session.ask("maintain", str(script), "--yes")
+        answer = session.ask("maintain", str(script), "--yes", "--log", str(log))
         return answer, [json.loads(line) for line in log.read_text().splitlines()]
 
     answer, lines = maintain("wait contact\ntc robot ping\n")
     assert answer.returncode == 0, answer.stderr
     assert {"verified", "completed"} & set(" ".join(map(str, lines)).split()), lines
+    for exercise in ("joystick-error", "robot-fault", "task-failed", "camera-lost left"):
+        answer = session.ask("trainer", *exercise.split())
+        assert answer.returncode == 0, answer.stderr
+    assert session.ask("trainer", "end").returncode == 0
     assert session.ask("trainer", "los", "2").returncode == 0
     answer, lines = maintain("wait 0.5\nwait contact\ntc robot ping\n")
     assert answer.returncode == 0, answer.stderr

@@ -244,6 +244,21 @@ def test_invalid_options_are_refused(words, capsys):
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+def test_each_cost_of_coding_is_an_option(tmp_path):
+    costs = "--capture-ms 5 --encode-ms 7 --decode-ms 3 --voice-encode-ms 2 --voice-decode-ms 1"
+    costs += " --encode-h265-ms 9 --decode-h265-ms 4"
+    words = ["simulate", "--setup", "spacejustin", "--seconds", "1", "--deadband", "picture", "-q"]
+    words += costs.split()
+    assert main([*words, "--report", str(tmp_path / "r.json")]) == 0
+    streams = json.loads((tmp_path / "r.json").read_text())["streams"]
+    coded = {
+        name: one["latency_ms"]["stages"]["capture_to_encoded"] for name, one in streams.items()
+    }
+    assert coded["uplink_video"]["p50"] == pytest.approx(5 + 7, rel=0.005)
+    assert coded["uplink_voice"]["p50"] == 20 + 6.5 + 2
+    assert streams["uplink_video"]["gained_bps"] is not None
+
+
 def test_costs_have_bounds():
     with pytest.raises(ConfigError, match="--decode-ms"):
         CodingCosts(decode_ms=5000)

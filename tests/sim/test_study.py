@@ -2,6 +2,7 @@
 
 import pytest
 
+from pipelines.cli import main
 from pipelines.study.desk import simulate_person
 from pipelines.study.effects import study_report
 from pipelines.study.plan import Aiming, HandleLevels, StudyPlan, Tracking
@@ -36,3 +37,22 @@ def test_the_effect_is_found_the_null_is_not_and_the_same_seed_gives_the_same():
     assert ("spot", "error, root mean square", "damping") in found
     assert {factor for _, _, factor in found} == {"damping"}
     assert [*simulate_person(PLAN, 3, 1)] == [one for one in results if one.participant == 3]
+
+
+def test_the_command_simulates_people_keeps_their_trials_and_shows_the_effects(tmp_path, capsys):
+    plan, results = tmp_path / "plan.toml", tmp_path / "trials"
+    plan.write_text(
+        'name = "x"\nconsent = "Yes."\nparticipants = 2\npractice = 0\ntrials = 1\n'
+        "[handle]\nstiffness_n_m = [0.0]\ndamping_n_s_m = [0.0, 50.0]\n"
+        '[[aiming]]\nname = "still"\ntargets = 5\n'
+    )
+    words = ["study", str(plan), "--simulated", "2", "--seed", "1", "--results", str(results)]
+    assert main(words) == 0
+    shown = capsys.readouterr().out
+    assert "2 participants have finished" in shown
+    kept = {path.name: path.read_bytes() for path in results.iterdir()}
+    assert {"trials.jsonl", "report.html", "study.mat"} <= set(kept)
+    # Trials of simulated hands are never taken for those of people.
+    assert main(["study", str(plan), "--report", "--results", str(results)]) == 2
+    assert "simulated hands" in capsys.readouterr().err
+    assert (results / "trials.jsonl").read_bytes() == kept["trials.jsonl"]
