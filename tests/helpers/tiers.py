@@ -68,11 +68,24 @@ _WAITING = """
     test_remote_update test_rtc_peers test_services test_upkeep test_whip_client
     """
 
+#: Long courses on virtual time.
+_LONG = """
+    test_deadband_video test_haptics_grid test_haptics_mediated test_mission_tasks
+    test_simulate_files test_sweep_command test_upkeep_pass
+    """
+#: What needs packages that only the extra `full` has.
+_PACKAGES = """
+    sim/test_cluster sim/test_mujoco_robot sim/test_study unit/pipelines/study/test_effects
+    unit/pipelines/report/test_charts unit/pipelines/recording/export/test_lerobot
+    """
+
 TABLE = (
     *_rows(Lane.ANY, True, "", "unit/ vectors/ fuzz/ sim/ web/ project/ samples/"),
     *_rows(Lane.MACHINE, False, "", "realtime/ browser/"),
     *_rows(Lane.PEERS, False, "interop/"),
     *_rows(Lane.WAITS, False, "realtime/", _WAITING),
+    *_rows(Lane.ANY, False, "sim/", _LONG),
+    *_rows(Lane.ANY, False, "", _PACKAGES),
     *(row for room, names in _JOURNEYS.items() for row in _rows(Lane.MACHINE, True, room, names)),
 )
 
@@ -208,7 +221,8 @@ def _full_or_failed(config, report):
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    missing = Counter(_reason(report) for report in terminalreporter.stats.get("skipped", []))
+    skipped = terminalreporter.stats.get("skipped", [])
+    missing = Counter(_reason(one) for one in skipped if row_of(one.nodeid).default)
     if missing:
         terminalreporter.section("not run, because something is missing here")
         for reason, count in sorted(missing.items()):
