@@ -23,7 +23,7 @@ def test_every_receiver_hears_the_speech():
     track = speech_track(1)
     peers = [Peer(Network(loss=0.0), 40), Peer(Network(loss=0.1), 40)]
     whole, lossy = listen_live(track, 8_000, peers)
-    assert whole.packets >= track.blocks / 2
+    assert whole.packets >= track.blocks - 5
     assert whole.payload_octets == 19 * whole.packets
     for heard in (whole, lossy):
         assert heard.mouth_to_ear_ns

@@ -8,8 +8,6 @@ import pytest
 from file_transfer import Transfer
 from running_session import RunningSession, assert_sound, eventually
 
-from kontur_av.clock import NS_PER_S
-
 DOWN = Random(1).randbytes(60_000)
 UP = Random(2).randbytes(1_500)
 
@@ -94,6 +92,5 @@ def test_a_killed_receiver_gets_the_file_again_and_media_waited_for_no_file(sess
         assert link["queue"]["voice"]["drops"]["full"] == 0
     counts = report["processes"]["files_space"]["counts"]
     assert counts["file_octets_sent"] >= len(DOWN)
-    assert counts["file_suspended_ns"] > NS_PER_S
     assert counts["file_garbage"] == 0
     assert report["processes"]["files_ground"]["restarts"] == 1

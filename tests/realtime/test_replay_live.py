@@ -28,13 +28,13 @@ def replay(recording, tmp_path):
 
 
 def test_all_that_was_recorded_is_sent_and_nothing_is_coded(replay, recording):
-    session = replay("--seconds", "4")
+    session = replay("--seconds", "9")
     assert set(session.pids()) == set(session.names)
     code, report = session.end()
     assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
     assert_sound(report)
-    end_ns = recording.facts.session_ns + 4_000_000_000
+    end_ns = recording.facts.session_ns + 9_000_000_000
     for name in ("uplink_video", "downlink_video"):
         units = [unit for unit in recording.units[name] if unit.capture_ns < end_ns]
         stream = report["streams"][name]
@@ -45,7 +45,8 @@ def test_all_that_was_recorded_is_sent_and_nothing_is_coded(replay, recording):
         stream = report["streams"][name]
         # A voice leaves out what would come too late, as on a machine that stalls; on virtual time
         # nothing does.
-        assert 0 < stream["frames_sent"] <= stream["frames_captured"] <= len(packets)
+        assert 0.8 * len(packets) < stream["frames_sent"] <= stream["frames_captured"]
+        assert stream["frames_captured"] <= len(packets)
     for key in ("up", "down"):
         rows = recording.haptics[f"/haptic/{key}/sent"]["time_ns"]
         assert 0 < report["haptic"][key]["sent"] <= (rows < end_ns).sum()
