@@ -46,7 +46,7 @@ def rules() -> dict[str, str]:
     """The first sentence of each numbered rule, by its number."""
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     section = text[text.index("## Rules that hold") :].partition("\n## ")[0]
-    found = dict(re.findall(r"^(\d+)\. (.+?[.:])(?=\s|$)", section, re.MULTILINE | re.DOTALL))
+    found = dict(re.findall(r"^(\d+)\. (.+?\.)(?=\s|$)", section, re.MULTILINE | re.DOTALL))
     safety = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
     found |= dict(re.findall(r"^\| (S\d+) \| (.+?) \|", safety, re.MULTILINE))
     return {number: " ".join(words.split()) for number, words in found.items()}
