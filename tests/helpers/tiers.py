@@ -74,10 +74,7 @@ _LONG = """
     test_simulate_files test_sweep_command test_upkeep_pass
     """
 #: What needs packages that only the extra `full` has.
-_PACKAGES = """
-    sim/test_cluster sim/test_mujoco_robot sim/test_study unit/pipelines/study/test_effects
-    unit/pipelines/report/test_charts unit/pipelines/recording/export/test_lerobot
-    """
+_PACKAGES = "sim/test_cluster sim/test_mujoco_robot unit/pipelines/recording/export/test_lerobot"
 
 TABLE = (
     *_rows(Lane.ANY, True, "", "unit/ vectors/ fuzz/ sim/ web/ project/ samples/"),

@@ -4,7 +4,6 @@ import json
 
 import av
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from common import psnr_db
 from synthetic_recording import BEGIN_NS, HEIGHT, LINK_CYCLES, MS, WIDTH, S, packet, write_recording
@@ -19,6 +18,8 @@ from pipelines.recording.messages import SPACE_PACKET
 from telepresence.tmtc.k2aci import Numbered, StartTask, TaskFinished, TaskResult, pack_body
 from telepresence.tmtc.pus.node import K2ACI_SERVICE, K2ACI_SUBTYPE
 from telepresence.tmtc.pus.packets import Telemetry, pack_packet
+
+pq = pytest.importorskip("pyarrow.parquet", reason="pyarrow: pip install -e '.[full]'")
 
 SECONDS, FPS = 4.0, 20
 CAMERA = "uplink_video"
