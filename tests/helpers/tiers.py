@@ -20,9 +20,8 @@ class Lane(enum.IntEnum):
     """Tests of one lane run one at a time, in one worker; the lanes run beside each other."""
 
     MACHINE = 0  #: Real processes that need the machine.
-    PEERS = 1  #: Programs of others.
-    WAITS = 2  #: Real processes that mostly wait: at most half a core.
-    ANY = 3  #: No processes: in any worker at any time, at the lowest priority.
+    WAITS = 1  #: Real processes that mostly wait, and programs of others.
+    ANY = 2  #: No processes: in any worker at any time, at the lowest priority.
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ _PACKAGES = "sim/test_cluster sim/test_mujoco_robot unit/pipelines/recording/exp
 TABLE = (
     *_rows(Lane.ANY, True, "", "unit/ vectors/ fuzz/ sim/ web/ project/ samples/"),
     *_rows(Lane.MACHINE, False, "", "realtime/ browser/"),
-    *_rows(Lane.PEERS, False, "interop/"),
+    *_rows(Lane.WAITS, False, "interop/"),
     *_rows(Lane.WAITS, False, "realtime/", _WAITING),
     *_rows(Lane.ANY, False, "sim/", _LONG),
     *_rows(Lane.ANY, False, "", _PACKAGES),
