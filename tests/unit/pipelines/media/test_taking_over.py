@@ -169,7 +169,7 @@ def test_about_five_pictures_a_second_become_previews_from_the_first_look_on():
     for fps in (10, 12, 25, 30):
         instants_ns = [number * NS_PER_S // fps for number in range(4 * fps)]
         assert len(previews(Previewing(), instants_ns)) in (20, 21)
-    # Whoever begins to look gets the next picture and no burst.
+    # A reader that joins gets the next picture and no burst.
     previewing = Previewing()
     previewing.handle_preview(0)
     taken = previews(previewing, [ms * NS_PER_MS for ms in range(10_010, 11_010, 40)])

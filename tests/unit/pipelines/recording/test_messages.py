@@ -51,7 +51,7 @@ def test_any_instants_octets_and_texts_come_back(frames, at_ns, text):
     event = RecordedEvent(session_ns=at_ns, number=1 << 31, what=text, text="a\udcff")
     found = unpack(RecordedEvent, pack(event))
     assert (found.session_ns, found.number) == (at_ns, 1 << 31)
-    # What is no Unicode is written with question marks.
+    # Malformed Unicode is written with question marks.
     assert (found.what, found.text) == (text, "a?")
 
 

@@ -1,4 +1,4 @@
-"""Problems of a session, as whoever watches its health is told them."""
+"""Problems of a session, as health checks and monitors are told them."""
 
 from types import SimpleNamespace
 
