@@ -7,6 +7,7 @@ name each missing program once.
 
 import contextlib
 import enum
+import fcntl
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -31,10 +32,14 @@ class Row:
     where: str
     lane: Lane = Lane.ANY
     default: bool = False
+    alone: bool = False  #: No test of another lane with processes runs beside it.
 
 
-def _rows(lane: Lane, default: bool, room: str, places: str = "") -> Iterator[Row]:
-    yield from (Row(f"tests/{room}{place}", lane, default) for place in places.split() or [""])
+def _rows(
+    lane: Lane, default: bool, room: str, places: str = "", *, alone: bool = False
+) -> Iterator[Row]:
+    for place in places.split() or [""]:
+        yield Row(f"tests/{room}{place}", lane, default, alone)
 
 
 #: The journeys: "realtime/" and "test_x.py::test_y" make "tests/realtime/test_x.py::test_y".
@@ -82,6 +87,8 @@ TABLE = (
     *_rows(Lane.WAITS, False, "realtime/", _WAITING),
     *_rows(Lane.ANY, False, "sim/", _LONG),
     *_rows(Lane.ANY, False, "", _PACKAGES),
+    # A hand that follows what a page says takes more than a core.
+    *_rows(Lane.MACHINE, False, "browser/", "test_newcomer", alone=True),
     *(row for room, names in _JOURNEYS.items() for row in _rows(Lane.MACHINE, True, room, names)),
 )
 
@@ -168,9 +175,31 @@ def _is_left_out(config: pytest.Config, item: pytest.Item) -> bool:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    if hasattr(item.config, "workerinput") and row_of(item.nodeid).lane is Lane.ANY:
-        _yield_the_machine()
-    return (yield)
+    row = row_of(item.nodeid)
+    with contextlib.ExitStack() as held:
+        if hasattr(item.config, "workerinput"):
+            if row.lane is Lane.ANY:
+                _yield_the_machine()
+            else:
+                held.enter_context(_room_for(row))
+        return (yield)
+
+
+@contextlib.contextmanager
+def _room_for(row: Row) -> Iterator[None]:
+    """Keep the machine for a test: whole, or shared with those of other lanes."""
+    door, room = (os.open(path, os.O_RDONLY) for path in (__file__, Path(__file__).parent))
+    try:
+        # Who waits for the whole machine stands in the door, so that no other goes in.
+        fcntl.flock(door, fcntl.LOCK_EX)
+        fcntl.flock(room, fcntl.LOCK_EX if row.alone else fcntl.LOCK_SH)
+        fcntl.flock(door, fcntl.LOCK_UN)
+        yield
+    finally:
+        for lock in (door, room):
+            # A child of the test may have a copy, so closing is not enough.
+            fcntl.flock(lock, fcntl.LOCK_UN)
+            os.close(lock)
 
 
 def _yield_the_machine() -> None:

@@ -10,14 +10,16 @@ from running_session import RunningSession, assert_sound, eventually
 
 DOWN = Random(1).randbytes(60_000)
 UP = Random(2).randbytes(1_500)
+#: It takes more than a minute, so that a slow machine can still cancel it.
+LONG = bytes(3_000_000)
 
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
     top = tmp_path_factory.mktemp("files")
-    for end, name, octets in (("space", "down.bin", DOWN), ("ground", "up.bin", UP)):
-        (top / "files" / end).mkdir(parents=True)
-        (top / "files" / end / name).write_bytes(octets)
+    for path, octets in (("space/down.bin", DOWN), ("space/long.bin", LONG), ("ground/up.bin", UP)):
+        (top / "files" / path).parent.mkdir(parents=True, exist_ok=True)
+        (top / "files" / path).write_bytes(octets)
     options = ("--files", str(top / "files"), "--files-rate", "8,300", "--trainer")
     with RunningSession("taskboard", *options, directory=top) as one:
         one.wait_for_flow()
@@ -43,7 +45,7 @@ def test_files_go_both_ways_across_a_loss_of_signal(session, ends):
 
 def test_a_transfer_is_cancelled_by_ctrl_c_or_by_its_number(session, ends):
     for number, ended in enumerate((130, 1)):
-        cut = Transfer(session, "put", "down.bin", "cut.bin", "--from", "space")
+        cut = Transfer(session, "put", "long.bin", "cut.bin", "--from", "space")
         cut.until("running")
         (line,) = session.ask("file", "status", "--from", "space").stdout.splitlines()[1:]
         assert line.split()[1:3] == ["put", "running"]

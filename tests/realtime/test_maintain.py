@@ -93,9 +93,14 @@ def test_beside_a_session_it_waits_for_contact_and_does_nothing_in_an_experiment
     eventually(
         lambda: session.ask("task", "select", "aiming").returncode == 0, "an experiment begins"
     )
-    answer, lines = maintain("tc joystick ping\n")
-    assert answer.returncode == 1
-    assert "an experiment runs (aiming, run 1)" in answer.stderr
+
+    def refused():
+        """The session tells its state a few times a second."""
+        answer, lines = maintain("tc joystick ping\n")
+        return (answer.stderr, lines) if answer.returncode == 1 else None
+
+    errors, lines = eventually(refused, "the experiment holds the telecommand back")
+    assert "an experiment runs (aiming, run 1)" in errors
     assert not [one for one in lines if one["what"] == "step"]
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])

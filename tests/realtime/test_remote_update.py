@@ -110,8 +110,8 @@ class Ends:
 
 
 def test_a_version_comes_across_a_loss_of_signal_and_starts_after_the_experiment(ends):
-    # As large as lasts longer than the loss of signal.
-    ends.pack_version("v2", PROGRAM, ballast=Random(1).randbytes(8000))
+    # It takes 15 s, so that a slow machine can begin the loss of signal before its end.
+    ends.pack_version("v2", PROGRAM, ballast=Random(1).randbytes(28_000))
     ends.pack_version("foreign", PROGRAM, key=ends.top / "stranger.pem")
     sent = [ends.put("link/v2.tar.gz")]
     sent[0].until("running")
