@@ -16,7 +16,7 @@ MS = 1_000_000
 
 
 class MediatedPair:
-    """round_trip_ms: half of it each way. garble: changes a wall's datagram on its way.
+    """round_trip_ms: half of it each way.
     residual: the hand also feels what the wall does not explain (`hand = "auto"`).
     board, envelope: of the robot.
 
@@ -34,7 +34,6 @@ class MediatedPair:
         stiffness_n_m: float = 1500.0,
         script: tuple[Waypoint, ...] = TAP_TARGETS,
         board: Board | SlantedBoard | None = None,
-        garble=lambda datagram: (datagram,),
         envelope: SafetyEnvelope | None = None,
     ) -> None:
         self.handle = HeldJoystick(hand=Hand(grip, script=script))
@@ -45,7 +44,6 @@ class MediatedPair:
         self.half_ns = round_trip_ms * MS // 2
         self.now_ns = 0
         self._down, self._up, self._walls = deque(), deque(), deque()
-        self._garble = garble
         self._values = array("d")
 
     @property
@@ -78,7 +76,7 @@ class MediatedPair:
         if (feedback := ground.poll_transmit(now_ns)) is not None:
             up.append((due_ns, feedback))
         if (wall := ground.poll_wall(now_ns)) is not None:
-            walls += [(due_ns, each) for each in self._garble(wall)]
+            walls.append((due_ns, wall))
         handle = self.handle
         x_n, y_n = handle.motor_x_n, handle.motor_y_n
         wall_n = space.controller.robot_force_n

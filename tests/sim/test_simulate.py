@@ -5,14 +5,10 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from fractions import Fraction
 
-import av
-import numpy as np
 import pytest
 
-from kontur_av.clock import NS_PER_S
-from kontur_av.errors import ConfigError
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.cli import main
 from pipelines.report.model import CodingCosts
 from pipelines.session.setup.setup_file import load_setup
@@ -26,24 +22,30 @@ DELAY_MS = 2.0
 #: From a haptic cycle to the sender's slot, and from the receiver's slot to its cycle.
 TWO_HALVES_MS = 1.0
 COSTS = CodingCosts()
+REAL_TIME = "real time; a simulation takes scene:NAME, a media file or mcap:FILE#CHANNEL"
 
 
-def simulated(name, tmp_path_factory, **options):
-    radio = tmp_path_factory.mktemp("radio") / "straight.toml"
-    radio.write_text(f"delay_ms = {DELAY_MS}\n")
-    setup = replace(load_setup(name), radio=load_radio(str(radio)))
-    return setup, simulate(setup, seconds=SECONDS, seed=1, **options)
+def simulated(
+    tmp_path_factory, name="spacejustin", *, radio="", down=True, seconds=SECONDS, **options
+):
+    """Simulate; down: with picture and voice from space, too."""
+    path = tmp_path_factory.mktemp("radio") / "radio.toml"
+    path.write_text(f"delay_ms = {DELAY_MS}\n{radio}")
+    setup = replace(load_setup(name), radio=load_radio(str(path)))
+    if not down:
+        setup = replace(setup, downlink_video=None, downlink_voice=None)
+    return setup, simulate(setup, seconds=seconds, seed=1, **options)
 
 
 @pytest.fixture(scope="module")
 def spacejustin(tmp_path_factory):
     selections = [Selection(2 * NS_PER_S, "static")]
-    return simulated("spacejustin", tmp_path_factory, selections=selections)
+    return simulated(tmp_path_factory, selections=selections)
 
 
 @pytest.fixture(scope="module")
 def taskboard(tmp_path_factory):
-    return simulated("taskboard", tmp_path_factory)
+    return simulated(tmp_path_factory, "taskboard")
 
 
 @pytest.fixture(params=["spacejustin", "taskboard"])
@@ -51,22 +53,18 @@ def session(request):
     return request.getfixturevalue(request.param)
 
 
-def test_a_session_goes_well(session):
+def check_caps(stream):
+    assert 0 < stream.payload_bps_max_1s <= stream.cap_bps
+    assert stream.payload_bps_max_100ms <= 1.5 * stream.cap_bps
+
+
+def test_a_session_goes_well_and_loses_and_miscounts_nothing(session):
     setup, report = session
     assert report.failures == []
     assert set(report.streams) == {stream.name for stream in setup.streams}
     assert report.simulation.media
-
-
-def test_caps_are_kept_over_every_sliding_window(session):
-    for stream in session[1].streams.values():
-        assert 0 < stream.payload_bps_max_1s <= stream.cap_bps
-        assert stream.payload_bps_max_100ms <= 1.5 * stream.cap_bps
-
-
-def test_sequence_numbers_are_complete(session):
-    _, report = session
     for name, stream in report.streams.items():
+        check_caps(stream)
         sent = report.processes[f"{name}_send"].counts["rtp_packets_sent"]
         for count in ("rtp_lost", "rtp_reordered", "rtp_duplicates", "rtp_late", "garbage"):
             assert getattr(stream.rtp, count) == 0
@@ -76,6 +74,11 @@ def test_sequence_numbers_are_complete(session):
         # The last picture may still be in the encoder.
         assert stream.sender.frames_captured - 1 <= looked_at <= stream.sender.frames_captured
         assert stream.capture_stamp_error_us < 12  # a tick of the 90 kHz clock
+    for profile in (setup.uplink, setup.downlink):
+        link = report.link[profile.name]
+        assert link.sender.frames == SECONDS * 1000
+        assert link.receiver.frames_lost == 0
+        assert sum(link.sender.octets.values()) == profile.frame_octets * link.sender.frames
 
 
 def test_haptic_latency_is_constant_under_any_media_load(session):
@@ -127,15 +130,6 @@ def test_voice_waits_little_more_than_its_slots(spacejustin):
     assert report.link["uplink"].sender.queue["voice"].max_age_ns <= 9_000_000
 
 
-def test_every_octet_is_counted(session):
-    setup, report = session
-    for profile in (setup.uplink, setup.downlink):
-        link = report.link[profile.name]
-        assert link.sender.frames == SECONDS * 1000
-        assert link.receiver.frames_lost == 0
-        assert sum(link.sender.octets.values()) == profile.frame_octets * link.sender.frames
-
-
 def test_the_operator_selects_a_camera(spacejustin):
     processes = spacejustin[1].processes
     assert processes["selector"].newest["selected"] == "static"
@@ -169,81 +163,6 @@ def test_reports_depend_on_the_seed_only(tmp_path):
     assert parts[0]["link"]["uplink"]["frames_lost"] > 0
 
 
-def test_all_streams_resume_after_a_blackout_without_late_data(tmp_path):
-    radio = tmp_path / "dark.toml"
-    radio.write_text('name = "dark"\ndelay_ms = 2.0\n[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n')
-    setup = replace(load_setup("spacejustin"), radio=load_radio(str(radio)))
-    report = simulate(setup, seconds=4.5, seed=3)
-    assert report.failures == []
-    for name, stream in report.streams.items():
-        # Two seconds remain after the blackout; a stream that does not resume misses all of them.
-        least = 2.9 * (25 if name.endswith("video") else 50)
-        assert stream.display.frames_displayed >= least
-        assert stream.rtp.rtp_lost > 0
-        # A picture kept during the blackout would be a second old.
-        assert stream.latency_ms.max < 150
-        assert stream.payload_bps_max_1s <= stream.cap_bps
-        assert stream.payload_bps_max_100ms <= 1.5 * stream.cap_bps
-    for direction in report.haptic.values():
-        assert direction.latency_ms.max == DELAY_MS + TWO_HALVES_MS
-        assert direction.receiver.received + direction.receiver.greetings == pytest.approx(
-            3500, abs=10
-        )
-    for profile in (setup.uplink, setup.downlink):
-        link = report.link[profile.name]
-        assert link.receiver.frames_lost == 1000
-        assert sum(link.sender.octets.values()) == profile.frame_octets * link.sender.frames
-
-
-@pytest.fixture
-def clip(tmp_path):
-    path = tmp_path / "clip.mp4"
-    with av.open(str(path), "w") as container:
-        video = container.add_stream("libx264", rate=Fraction(25))
-        video.width, video.height, video.pix_fmt = 320, 240, "yuv420p"
-        for number in range(20):
-            picture = np.full((240, 320, 3), 10 * number, np.uint8)
-            frame = av.VideoFrame.from_ndarray(picture, "rgb24")
-            for packet in video.encode(frame):
-                container.mux(packet)
-        for packet in video.encode(None):
-            container.mux(packet)
-    return path
-
-
-def test_files_play_at_their_own_instants_and_loop(clip):
-    sources = {"static": str(clip)}
-    setup = replace(load_setup("taskboard"), cameras=("static",), sources=sources)
-    report = simulate(setup, seconds=2.0, seed=1)
-    stream = report.streams["uplink_video"]
-    assert report.failures == []
-    assert stream.sender.frames_captured == 50
-    assert stream.display.frames_displayed >= 45
-
-
-@pytest.mark.parametrize("source", ["v4l2:/dev/x", "page"])
-def test_real_time_sources_are_refused_in_one_line(capsys, source):
-    words = ["simulate", "--setup", "taskboard", "--seconds", "1", "--source", f"static={source}"]
-    assert main(words) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "static" in line
-    assert "real time; a simulation takes scene:NAME, a media file or mcap:FILE#CHANNEL" in line
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--select", "0=roof"],
-        ["--select", "soon=head"],
-        ["--select", "1=head"],
-        ["--encode-ms", "-1"],
-    ],
-)
-def test_invalid_options_are_refused(words, capsys):
-    assert main(["simulate", "--setup", "spacejustin", "--seconds", "1", *words]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
 def test_each_cost_of_coding_is_an_option(tmp_path):
     costs = "--capture-ms 5 --encode-ms 7 --decode-ms 3 --voice-encode-ms 2 --voice-decode-ms 1"
     costs += " --encode-h265-ms 9 --decode-h265-ms 4"
@@ -259,6 +178,100 @@ def test_each_cost_of_coding_is_an_option(tmp_path):
     assert streams["uplink_video"]["gained_bps"] is not None
 
 
-def test_costs_have_bounds():
-    with pytest.raises(ConfigError, match="--decode-ms"):
-        CodingCosts(decode_ms=5000)
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--source", "head=v4l2:/dev/x"], REAL_TIME),
+        (["--source", "head=page"], REAL_TIME),
+        (["--select", "0=roof"], "roof"),
+        (["--select", "soon=head"], "soon"),
+        (["--select", "1=head"], "head"),
+        (["--encode-ms", "-1"], "--encode-ms"),
+        (["--decode-ms", "5000"], "--decode-ms"),
+    ],
+)
+def test_invalid_options_are_refused_in_one_line(words, told, capsys):
+    assert main(["simulate", "--setup", "spacejustin", "--seconds", "1", *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+
+
+def test_all_streams_resume_after_a_second_of_blackout_stale_and_without_late_data(
+    tmp_path_factory,
+):
+    setup, report = simulated(
+        tmp_path_factory, seconds=4.5, radio="[[blackouts]]\nstart_s = 1.5\nseconds = 1.0\n"
+    )
+    assert report.failures == []
+    for row in setup.streams:
+        video, stream = row.name.endswith("video"), report.streams[row.name]
+        # Two seconds remain after the blackout; a stream that does not resume misses all of them.
+        assert stream.display.frames_displayed >= 2.9 * (25 if video else 50)
+        assert stream.rtp.rtp_lost > 0
+        # A picture kept during the blackout would be a second old.
+        assert stream.latency_ms.max < 150
+        check_caps(stream)
+        assert stream.stale_after_ms == pytest.approx(setup.stale_after_ns(row) / 1e6, abs=1e-3)
+        assert stream.display.stale_episodes == 1
+        assert 1000 - stream.stale_after_ms < stream.display.stale_ns / NS_PER_MS < 1300
+        frozen_ms = stream.display.frozen_ns / NS_PER_MS
+        assert 900 < frozen_ms < 1500 if video else frozen_ms == 0
+        # A loss may damage pictures until the refresh is complete or a key picture arrives.
+        assert stream.display.damaged_ns / NS_PER_MS <= 1100 or not video
+    for direction in report.haptic.values():
+        assert direction.latency_ms.max == DELAY_MS + TWO_HALVES_MS
+        came = direction.receiver.received + direction.receiver.greetings
+        assert came == pytest.approx(3500, abs=10)
+    for profile in (setup.uplink, setup.downlink):
+        link = report.link[profile.name]
+        assert link.receiver.frames_lost == 1000
+        assert sum(link.sender.octets.values()) == profile.frame_octets * link.sender.frames
+
+
+def test_voice_within_60_ms_and_in_sync_with_pictures(spacejustin):
+    _, report = spacejustin
+    for name in ("uplink_voice", "downlink_voice"):
+        stream = report.streams[name]
+        # A block of 20 ms, 6.5 of look-ahead, coding, slots, the radio and the playout buffer.
+        assert 30 < stream.latency_ms.p50 < 50
+        assert stream.latency_ms.p99 <= 60
+        assert stream.display.stale_ns == 0
+    # From the very first picture on, although that one is large.
+    assert report.lip_sync.within == 1
+    assert report.skew_ms["audio_video"].p50 > -45
+
+
+def test_only_sound_waits_for_late_pictures_and_no_longer_than_needed(
+    tmp_path_factory, spacejustin
+):
+    costs = CodingCosts(capture_ms=95)
+    _, report = simulated(tmp_path_factory, seconds=7.0, down=False, costs=costs)
+    video, voice = (report.streams[name].latency_ms for name in ("uplink_video", "uplink_voice"))
+    # Without lip-sync the sound would be about 90 ms early; with it at most 45, and not later.
+    assert video.p50 - spacejustin[1].streams["uplink_voice"].latency_ms.p50 > 80
+    assert -46 < report.skew_ms["audio_video"].p50 < -15
+    assert voice.max < video.max - 15
+    # Except for the 1.5 s in which the voice is stretched.
+    assert 0.6 < report.lip_sync.within < 1
+    assert report.lip_sync.late == 0
+    assert report.haptic["up"].latency_ms.max == DELAY_MS + TWO_HALVES_MS
+    assert report.streams["uplink_voice"].voice.frames_concealed == 0
+
+
+def test_occasional_losses_count_as_damaged_and_concealed(tmp_path_factory):
+    _, report = simulated(tmp_path_factory, seconds=3.0, radio="frame_loss = 0.01\n", down=False)
+    video, voice = (report.streams[name] for name in ("uplink_video", "uplink_voice"))
+    assert video.rtp.rtp_lost > 0
+    assert 0 < video.display.damaged_ns / NS_PER_MS < 3000
+    assert voice.voice.frames_concealed > 0
+    assert voice.display.stale_ns == 0
+    # A loss delays nothing.
+    assert voice.latency_ms.p99 <= 60
+
+
+def test_a_stream_always_above_its_age_limit_is_always_stale():
+    setup = load_setup("taskboard")
+    setup = replace(setup, uplink_video=replace(setup.uplink_video, stale_after_ms=20))
+    figures = simulate(setup, seconds=2.0, seed=1).streams["uplink_video"]
+    assert figures.display.stale_episodes == 1
+    assert figures.display.stale_ns / NS_PER_MS == pytest.approx(2000, abs=250)

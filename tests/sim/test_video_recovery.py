@@ -123,7 +123,10 @@ def test_a_camera_slower_than_its_stream_uses_the_cap_too(tmp_path):
         for packet in video.encode(None):
             container.mux(packet)
     setup = replace(load_setup("taskboard"), cameras=("static",), sources={"static": str(path)})
-    stream = simulate(setup, seconds=6.0, seed=1).streams["uplink_video"]
+    report = simulate(setup, seconds=6.0, seed=1)
+    stream = report.streams["uplink_video"]
+    # The film is played at its own instants, and again from its beginning.
+    assert report.failures == [] and stream.sender.frames_captured == 120
     assert stream.displayed_hz > 18
     # With the share of one of 30 pictures a second, at most 0.71 of the cap would be used.
     assert 0.75 * stream.cap_bps < stream.payload_bps_max_1s <= stream.cap_bps
