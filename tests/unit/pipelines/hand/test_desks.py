@@ -42,14 +42,9 @@ def test_what_was_sent_to_an_earlier_life_changes_nothing():
 
 def test_telecommands_are_answered_with_a_refusal_in_words():
     desk = robot_desk(tasks=False)
-    for number, (function, refusal) in enumerate(
-        [
-            ("set_mode", "the robot is on: switch it off first"),
-            ("power_off", ""),
-            ("set_mode", ""),
-            ("power_on", ""),
-        ]
-    ):
+    on = "the robot is on: switch it off first"
+    told = (("set_mode", on), ("power_off", ""), ("set_mode", ""), ("power_on", ""))
+    for number, (function, refusal) in enumerate(told):
         command = RobotCommand(number, function, ControlMode.IMPEDANCE)
         desk.handle_command(command, BEGAN_NS, BEGAN_NS)
         status = desk.poll_status(BEGAN_NS)

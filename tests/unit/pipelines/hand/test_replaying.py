@@ -71,6 +71,12 @@ def test_each_recorded_cycle_is_sent_in_its_cycle_and_contacts_are_told():
     ] == [(200, 4)]
     assert all(end.superseded == 0 for end in ends)
 
+    # Half the speed takes twice the time.
+    ends, probes = pair(rows(np.zeros(300, int)), rows(np.zeros(300, int)), speed=0.5)
+    run(ends, 700)
+    last = max(row.sent_ns for row in probes[0].series(SampleSentRow).rows())
+    assert last // NS_PER_MS == 599
+
 
 def test_of_two_rows_in_one_cycle_the_newer_is_sent_and_a_lost_cycle_sends_nothing():
     late = np.zeros(300, np.int64)
@@ -86,13 +92,6 @@ def test_of_two_rows_in_one_cycle_the_newer_is_sent_and_a_lost_cycle_sends_nothi
     assert 101 in sent[0]
     assert not sent[1] & set(range(150, 160))
     assert {149, 160} <= sent[1]
-
-
-def test_half_the_speed_takes_twice_the_time():
-    ends, probes = pair(rows(np.zeros(300, int)), rows(np.zeros(300, int)), speed=0.5)
-    run(ends, 700)
-    last = max(row.sent_ns for row in probes[0].series(SampleSentRow).rows())
-    assert last // NS_PER_MS == 599
 
 
 @pytest.mark.parametrize("large", [1, 6])

@@ -116,6 +116,9 @@ def test_a_restarted_sender_confirms_the_first_choice_that_it_receives(one):
     assert one.tell(15)
     one.confirm(20)
     assert one.answers() == {1: ""}
+    # Functions of other applications are left alone.
+    assert not one.choice.handle_asked(FunctionAsked("tasks", 1, "select", (1,)), 0)
+    assert one.choice.next_event() is None
 
 
 def test_choice_and_confirmation_are_told_again_after_a_while_and_at_once_if_new(one):
@@ -133,11 +136,6 @@ def test_choice_and_confirmation_are_told_again_after_a_while_and_at_once_if_new
     assert choice.poll_choice(AGAIN_NS + 1) == Choice(AGAIN_NS + 1, "static")
 
 
-def test_functions_of_other_applications_are_left_alone(one):
-    assert not one.choice.handle_asked(FunctionAsked("tasks", 1, "select", (1,)), 0)
-    assert one.choice.next_event() is None
-
-
 def test_the_dictionary_of_a_session_knows_its_cameras():
     dictionary = built_in_dictionary()
     (anyone,) = dictionary.application("camera").parameters
@@ -149,16 +147,13 @@ def test_the_dictionary_of_a_session_knows_its_cameras():
         camera.pack("roof")
 
 
-def test_pictures_of_all_cameras_are_numbered_without_a_gap():
+def test_pictures_of_all_cameras_are_numbered_without_a_gap_and_choices_survive_packing():
     follower = CameraFollower()
     numbers = []
     for number, camera in enumerate(("stereo", "static", "stereo")):
         follower.handle_choice(Choice(number, camera))
         numbers += [follower.restamp(CaptureStamp(0, 77, camera)).sequence for _ in range(2)]
     assert numbers == list(range(6))
-
-
-def test_choices_and_confirmations_survive_packing():
     choice = Choice(1 << 60, "c" * 64)
     assert Choice.unpack(choice.pack()) == choice
     assert len(choice.pack()) <= following.CHOICE_OCTETS

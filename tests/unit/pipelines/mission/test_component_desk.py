@@ -27,16 +27,13 @@ def test_values_come_as_housekeeping_and_when_they_are_asked_for(mission):
     assert not mission.ask("parameters", "", "target").ok  # it never had a value
 
 
-def test_a_function_is_carried_out_with_its_arguments_by_name_and_may_refuse(mission):
+def test_a_function_gets_its_arguments_by_name_and_may_refuse_or_raise(mission):
     assert mission.ask("call", "recharge", 12.5).ok
     assert mission.battery.calls == [("recharge", {"target": 12.5})]
     mission.battery.answer = "no charger"
     refused = mission.ask("call", "use", "b")
     assert (refused.stage, refused.reason) == ("failed", "no charger")
     assert mission.figures().faults == 0
-
-
-def test_what_a_function_raises_is_its_refusal_and_ends_nothing(mission):
     mission.battery.answer = OSError("no such port\nat all")
     assert mission.ask("call", "recharge", 12.5).reason == "OSError: no such port"
     figures = mission.figures()

@@ -167,7 +167,7 @@ def test_what_the_functional_test_measured_is_an_event(space):
     assert measured(report) == pytest.approx(wanted)
 
 
-def test_the_dictionary_has_a_parameter_of_each_measure_of_the_functional_test():
+def test_the_dictionary_has_each_measure_of_the_functional_test_and_the_modes_of_the_robot():
     handle = OperatedHandle(SimulatedDevice(hand=Hand()))
     quiet = Feedback(0.0, 0.0, 0, False)
     for cycle in range(60_000):
@@ -183,6 +183,8 @@ def test_the_dictionary_has_a_parameter_of_each_measure_of_the_functional_test()
     names = {f"test_{one.name.replace(' ', '_')}" for one in report.figures if one.unit}
     known = {one.name for one in built_in_dictionary().application("joystick").parameters}
     assert names and names <= known
+    mode = built_in_dictionary().application("robot").parameter("mode")
+    assert mode.choices == tuple(one.value for one in ControlMode)
 
 
 def robot_status(**changes):
@@ -202,11 +204,6 @@ def test_joints_are_housekeeping_and_those_that_are_not_there_have_no_number(gro
     wanted |= {"joint_2_angle": -0.1, "joint_2_torque": -0.5}
     assert measured(report) == pytest.approx(wanted)
     assert len(report.values) == 2 * MOST_JOINTS
-
-
-def test_the_dictionary_has_the_modes_of_the_robot():
-    mode = built_in_dictionary().application("robot").parameter("mode")
-    assert mode.choices == tuple(one.value for one in ControlMode)
 
 
 def test_the_robot_answers_its_functions_and_a_fault_is_an_event(ground, robot):

@@ -55,7 +55,7 @@ def start(wish, **options):
     return RecordRequest(record="start", wish=wish, **options)
 
 
-def test_a_recording_is_started_asked_about_and_stopped():
+def test_a_recording_is_started_asked_about_and_stopped_and_other_requests_are_refused():
     talk = Talk()
     assert talk.say(1, start(WISH)).ok
     assert talk.desk.wish == WISH
@@ -63,18 +63,21 @@ def test_a_recording_is_started_asked_about_and_stopped():
     assert talk.say(2, RecordRequest(record="stop")).messages == 7
     assert talk.desk.wish is None
     assert talk.say(2, RecordRequest(record="stop")).mistake
-
-
-def test_a_second_recording_and_one_that_cannot_begin_are_refused():
     answer = Talk(WISH).say(1, start(RecordingWish(file="/tmp/b.mcap")))
     assert not answer.ok and answer.mistake and "/tmp/a.mcap" in answer.error
     talk = Talk()
     talk.error = "no such directory"
     assert talk.say(1, start(WISH)).error == "no such directory"
     assert talk.desk.wish is None
+    talk = Talk()
+    for garbage in (b"{}\n", b"[[[[\n", b'{"record": "jump"}\n', b'{"record": "start"}\n'):
+        assert talk.say(1, garbage).mistake
+    talk.say(1, b"x" * (MAX_LINE_OCTETS + 1))
+    assert 1 in talk.closed
+    assert talk.desk.wish is None
 
 
-def test_a_held_recording_ends_some_time_after_its_terminal():
+def test_a_held_recording_ends_some_time_after_its_terminal_which_may_come_back():
     talk = Talk()
     talk.say(1, start(HELD))
     talk.desk.handle_time(100 * NS_PER_S)
@@ -86,9 +89,6 @@ def test_a_held_recording_ends_some_time_after_its_terminal():
     talk.desk.handle_time(100 * NS_PER_S + HOLD_NS)
     talk.drain()
     assert talk.desk.wish is None
-
-
-def test_its_terminal_may_come_back_and_one_of_the_command_line_needs_none():
     talk = Talk(HELD)
     assert talk.say(5, start(HELD), NS_PER_S).ok, "after the recorder was killed"
     needs_none = Talk(WISH)
@@ -97,12 +97,3 @@ def test_its_terminal_may_come_back_and_one_of_the_command_line_needs_none():
         one.drain()
     assert Start not in talk.did and talk.desk.wish == HELD
     assert needs_none.desk.wish == WISH
-
-
-def test_garbage_is_refused():
-    talk = Talk()
-    for garbage in (b"{}\n", b"[[[[\n", b'{"record": "jump"}\n', b'{"record": "start"}\n'):
-        assert talk.say(1, garbage).mistake
-    talk.say(1, b"x" * (MAX_LINE_OCTETS + 1))
-    assert 1 in talk.closed
-    assert talk.desk.wish is None

@@ -3,7 +3,6 @@
 from contextlib import suppress
 
 import numpy as np
-import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from hypothesis import given
 from hypothesis import strategies as st
@@ -84,16 +83,19 @@ def test_another_tool_reads_a_message_by_the_schema_in_the_file():
     assert names[: len(SAMPLE.names)] == SAMPLE.names
 
 
-def test_rows_of_the_trace_become_samples():
+def test_rows_of_the_trace_become_samples_and_a_unit_has_facts():
     rows = np.zeros(3, ROW)
     rows["time_ns"], rows["x_m"], rows["flags"] = (1, 2, 3), (0.1, 0.2, 0.3), (1, 2, 4)
     samples = haptic_samples(rows)
     assert samples["sequence"].tolist() == [NO_SAMPLE] * 3
     assert all((samples[name] == rows[name]).all() for name in ROW.names[:-2])
     assert haptic_samples(rows, np.array([7, 8, -1], np.int32))["sequence"].tolist() == [7, 8, -1]
-
-
-def test_facts_of_a_unit():
+    rows = np.zeros(3, row_type(["z", "roll"]))
+    rows["z_m"], rows["roll_n_m"] = (0.0, 0.5, 0.0), (0.25, 0.0, -0.25)
+    samples = unpack_haptics(pack_haptics(haptic_samples(rows)))
+    assert samples["z_m"].tolist() == [0.0, 0.5, 0.0]
+    assert samples["roll_n_m"].tolist() == [0.25, 0.0, -0.25]
+    assert "gripper_m" not in samples.dtype.names
     unit = CodedUnit(data=b"12345", key=True, damaged=True, width=64, height=48)
     facts = UnitFacts.of(unit, CaptureStamp(9, 1, "uplink_video", Quality.DAMAGED))
     assert (facts.capture_ns, facts.width_px, facts.height_px, facts.octets) == (9, 64, 48, 5)
@@ -101,33 +103,15 @@ def test_facts_of_a_unit():
     assert not (facts.refused or facts.added)
 
 
-@pytest.mark.parametrize(
-    ("packet", "words"),
-    [
-        (
-            pack_packet(Telecommand(apid=0x133, count=5, service=8, subtype=1)),
-            "PUS 8,1: telecommand to application 0x133",
-        ),
-        (
-            pack_packet(Telemetry(apid=0x133, count=5, service=3, subtype=25)),
-            "PUS 3,25: report of application 0x133",
-        ),
+def test_words_of_a_packet():
+    telecommand = Telecommand(apid=0x133, count=5, service=8, subtype=1)
+    report = Telemetry(apid=0x133, count=5, service=3, subtype=25)
+    wall = WallMessage(1, Wall(0.5, 0.06, 1500.0))
+    for packet, words in (
+        (pack_packet(telecommand), "PUS 8,1: telecommand to application 0x133"),
+        (pack_packet(report), "PUS 3,25: report of application 0x133"),
         (pack_wall(WallMessage(1, None), 0), "no wall"),
-        (
-            pack_wall(WallMessage(1, Wall(0.5, 0.06, 1500.0)), 0),
-            "wall at 0.0600 m towards 28.6°, 1500 N/m",
-        ),
+        (pack_wall(wall, 0), "wall at 0.0600 m towards 28.6°, 1500 N/m"),
         (b"\x08\x01", "unknown"),
-    ],
-)
-def test_words_of_a_packet(packet, words):
-    assert packet_words(packet) == words
-
-
-def test_samples_of_more_axes_are_read_back():
-    rows = np.zeros(3, row_type(["z", "roll"]))
-    rows["z_m"], rows["roll_n_m"] = (0.0, 0.5, 0.0), (0.25, 0.0, -0.25)
-    samples = unpack_haptics(pack_haptics(haptic_samples(rows)))
-    assert samples["z_m"].tolist() == [0.0, 0.5, 0.0]
-    assert samples["roll_n_m"].tolist() == [0.25, 0.0, -0.25]
-    assert "gripper_m" not in samples.dtype.names
+    ):
+        assert packet_words(packet) == words

@@ -162,7 +162,7 @@ def packed(unit, size, sets=b""):
     ).pack()
 
 
-def test_each_message_has_its_wall_time_and_what_was_in_the_topic():
+def test_each_message_has_its_wall_time_and_contacts_are_events():
     disk, now_ns = Disk(), 10 * NS_PER_S
     disk.pump(now_ns - NS_PER_S)
     rows = block(now_ns - 20 * NS_PER_MS)
@@ -178,6 +178,26 @@ def test_each_message_has_its_wall_time_and_what_was_in_the_topic():
     assert unpack_haptics(message.data)["fx_n"].tolist() == rows["fx_n"].tolist()
     assert unpack(RecordedEvent, file["/events"][0].data) == event
     assert len(file["/log"]) == 1
+    disk = Disk()
+    disk.pump(0)
+    touches = [(), (5, 6, 9), (0,), (), (), (), (3,)]
+    for number, touch in enumerate(touches):
+        disk.robot(number, 0, block(number * 20 * NS_PER_MS, touch=touch))
+    (file,) = disk.end(NS_PER_S)
+    events = [unpack(RecordedEvent, each.data) for each in file["/events"]]
+    assert [(each.session_ns // NS_PER_MS, each.text) for each in events] == [
+        (25, "touch begins"),
+        (40, "touch ends"),
+        (123, "touch begins"),
+    ]
+    # A writer counts while nobody reads, and a topic gives a new reader its newest sample.
+    disk, now_ns = Disk(), 100 * NS_PER_S
+    disk.pump(now_ns)
+    for number, at_ns in ((3, 90 * NS_PER_S), (800, now_ns), (801, now_ns)):
+        disk.robot(number, now_ns, block(at_ns), published_ns=at_ns)
+    (file,) = disk.end(now_ns + NS_PER_S)
+    assert [each.sequence for each in file["/haptic/up/sent"]] == [800, 801]
+    assert not disk.counts("missed")
 
 
 def test_a_recording_that_joins_begins_with_a_black_key_and_is_right_after_a_wave():
@@ -188,16 +208,6 @@ def test_a_recording_that_joins_begins_with_a_black_key_and_is_right_after_a_wav
     assert_sound(file, first, count)
     *_, last = shown(file, units[-1][1])
     assert np.array_equal(last, units[-1][2])
-
-
-def test_the_octets_of_a_new_part_are_as_sent_behind_parameter_sets():
-    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
-    units = streamed(disk, 70)
-    file = disk.end(3 * NS_PER_S)[1]
-    told = zip(file["/uplink_video/sent"], file["/uplink_video/sent/facts"], strict=True)
-    pairs = [(unpack(RecordedPicture, a.data), unpack(UnitFacts, b.data)) for a, b in told]
-    kept = [picture.data[-facts.octets :] for picture, facts in pairs[1:]]
-    assert kept == [unit.data for unit, _, _ in units[60:]]
 
 
 def streamed(disk, count, *, makes_key_at=(), first=0, with_sets=False):
@@ -266,6 +276,17 @@ def test_while_a_key_picture_is_made_its_stream_waits_and_the_others_do_not():
     disk.make_keys()
     disk.pump(5 * NS_PER_S)
     assert {"/uplink_video/sent", "/uplink_video/sent/facts"} <= in_file()
+
+    # What waits on a failing disk is counted.
+    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
+    disk.makes_keys = False
+    streamed(disk, 70)
+    disk.recorder.handle_fault(2, "full", 70 * NS_PER_S // 30)
+    disk.make_keys()
+    disk.pump(5 * NS_PER_S)
+    assert disk.counts("kept")["/uplink_video/sent"] == 60
+    for channel in ("/uplink_video/sent", "/uplink_video/sent/facts"):
+        assert disk.counts("dropped")[channel] == 10
 
 
 @pytest.mark.parametrize("end", ["time", "octets", "part", "recording"])
@@ -356,21 +377,6 @@ def test_a_part_ends_at_its_size_and_says_its_number():
         assert facts.wall_ns - facts.session_ns == OFFSET_NS
 
 
-def test_contacts_are_events():
-    disk = Disk()
-    disk.pump(0)
-    touches = [(), (5, 6, 9), (0,), (), (), (), (3,)]
-    for number, touch in enumerate(touches):
-        disk.robot(number, 0, block(number * 20 * NS_PER_MS, touch=touch))
-    (file,) = disk.end(NS_PER_S)
-    events = [unpack(RecordedEvent, each.data) for each in file["/events"]]
-    assert [(each.session_ns // NS_PER_MS, each.text) for each in events] == [
-        (25, "touch begins"),
-        (40, "touch ends"),
-        (123, "touch begins"),
-    ]
-
-
 @given(st.lists(st.tuples(st.integers(0, 900), st.integers(0, 2900)), max_size=12))
 def test_events_are_in_the_order_of_their_instants(told):
     """Each came up to 3 s after its instant; a part ends meanwhile."""
@@ -434,17 +440,6 @@ def test_cameras_are_coded_cheaply_or_whole_as_the_setup_wants(cameras, kept, lo
     assert {unit.frame_id for unit in units} == {"head"}
 
 
-def test_a_sample_from_before_the_recording_is_left_out_and_no_loss():
-    # A writer counts while nobody reads, and a topic gives a new reader its newest sample.
-    disk, now_ns = Disk(), 100 * NS_PER_S
-    disk.pump(now_ns)
-    for number, at_ns in ((3, 90 * NS_PER_S), (800, now_ns), (801, now_ns)):
-        disk.robot(number, now_ns, block(at_ns), published_ns=at_ns)
-    (file,) = disk.end(now_ns + NS_PER_S)
-    assert [each.sequence for each in file["/haptic/up/sent"]] == [800, 801]
-    assert not disk.counts("missed")
-
-
 def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     disk = Disk(link_frames=True)
     disk.pump(0)
@@ -477,16 +472,3 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     frames = only(RecordedFrames, "/link/uplink/frames/sent")
     assert list(zip(frames.time_ns, frames.data, strict=True)) == gateway.frames_sent
     assert disk.counts("kept")["/link/uplink/frames/sent"] == 1
-
-
-def test_what_waits_for_a_key_picture_on_a_failing_disk_is_counted():
-    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
-    disk.makes_keys = False
-    streamed(disk, 70)
-    disk.recorder.handle_fault(2, "full", 70 * NS_PER_S // 30)
-    disk.make_keys()
-    disk.pump(5 * NS_PER_S)
-    channels = disk.recorder.figures(None).channels
-    assert channels["/uplink_video/sent"].kept == 60
-    assert channels["/uplink_video/sent"].dropped == 10
-    assert channels["/uplink_video/sent/facts"].dropped == 10

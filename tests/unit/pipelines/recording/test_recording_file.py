@@ -49,16 +49,13 @@ def test_of_two_that_write_one_file_the_later_is_refused_or_replaces_it(tmp_path
     assert {each.name for each in tmp_path.iterdir()} == {"a.mcap", "a.csv"}
 
 
-def test_a_recording_that_goes_on_is_not_overwritten(tmp_path):
+def test_a_recording_that_goes_on_is_not_overwritten_and_a_disk_needs_room(tmp_path):
     files = PartFiles(tmp_path / "a.mcap")
     files.open()
     with pytest.raises(ConfigError, match=r"a\.mcap is being recorded: record to another name"):
         check_recordable(tmp_path / "a.mcap", overwrite=True)
     files.close(1)
     check_recordable(tmp_path / "a.mcap", overwrite=True)
-
-
-def test_a_disk_without_room_for_all_cameras_is_refused(tmp_path):
     setup = BUILT_IN["taskboard"]
     check_disk(tmp_path / "a.mcap", setup, 1e12)
     whole = replace(setup, recorded_cameras="all")

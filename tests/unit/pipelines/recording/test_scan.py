@@ -5,7 +5,6 @@ from io import BytesIO
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, DataEnd, Footer, Metadata
 from mcap.writer import CompressionType, Writer
@@ -69,19 +68,6 @@ def test_a_cut_within_the_last_chunk_loses_this_chunk_alone():
         assert cut >= behind or scan.figures.holes == ([(begin, cut)] if cut > begin else [])
 
 
-def test_an_index_that_becomes_a_message_is_none():
-    written = write(SCRIPT)
-    piece = next(piece for piece in written.pieces if written.octets[piece.begin] == Opcode.CHUNK)
-    index = piece.begin + HEAD.size + HEAD.unpack_from(written.octets, piece.begin)[1]
-    assert written.octets[index] == Opcode.MESSAGE_INDEX
-    for opcode in range(256):
-        octets = bytearray(written.octets)
-        octets[index] = opcode
-        scan, found, _ = scanned(bytes(octets))
-        assert len(found) == len(SCRIPT)
-        assert scan.figures.sound == (opcode == Opcode.MESSAGE_INDEX)
-
-
 def other_program(messages, *, library="other", facts=("notes", {"by": "me"}), **options) -> bytes:
     """A file of another program with these (topic, sequence, log_ns, publish_ns, data)."""
     stream = BytesIO()
@@ -113,12 +99,19 @@ def test_a_file_of_another_program_is_read_but_not_mended(chunks, compression):
         Recovery(memoryview(octets))
 
 
-def test_our_recording_is_whole_when_another_program_has_copied_it_without_chunks():
+def test_a_copy_is_whole_a_recording_behind_is_left_out_and_empty_channels_stay():
     _, told, (facts,) = scanned(write(SCRIPT).octets)
     copied = other_program(told, facts=(facts.name, facts.metadata), use_chunking=False)
     scan, found, _ = scanned(copied)
     assert found == told
     assert scan.ours and scan.figures.sound
+    scan, found, _ = scanned(b"".join(begun(channel_of(one), CHUNK_NS) for one in ("/1", "/2")))
+    assert [topic for topic, *_ in found] == ["/1"]
+    assert not scan.figures.sound
+    written = write([])
+    torn = written.octets[: written.pieces[-1].begin]
+    mended = b"".join(Recovery(memoryview(torn)).pieces())
+    assert len(make_reader(BytesIO(mended)).get_summary().channels) == 5
 
 
 @given(steps, st.floats(0.1, 1))
@@ -176,13 +169,6 @@ def test_what_a_user_has_added_is_whole_and_stays(data, checked, torn):
     assert note in reader.iter_metadata()
 
 
-def test_channels_without_a_message_stay():
-    written = write([])
-    torn = written.octets[: written.pieces[-1].begin]
-    mended = b"".join(Recovery(memoryview(torn)).pieces())
-    assert len(make_reader(BytesIO(mended)).get_summary().channels) == 5
-
-
 def begun(row, until_ns=0, facts=None) -> bytes:
     """A recording with one message on this channel, ended or left open."""
     stream, octets = McapStream(library=LIBRARY), b""
@@ -210,9 +196,3 @@ def test_a_newer_format_is_refused(version, facts):
         Recovery(newer)
     with pytest.raises(ProtocolError, match=r"install a newer one"):
         take_inventory(newer)
-
-
-def test_another_recording_behind_the_first_is_not_mixed_in():
-    scan, found, _ = scanned(b"".join(begun(channel_of(one), CHUNK_NS) for one in ("/1", "/2")))
-    assert [topic for topic, *_ in found] == ["/1"]
-    assert not scan.figures.sound

@@ -60,20 +60,23 @@ def show(collector, stream, at_ms, latency_ms):
     tell(collector, "space_display", displayed, row, stream=stream)
 
 
-def test_a_picture_with_a_missing_stage_has_a_latency_but_no_stages(collector):
+def test_a_picture_with_a_missing_stage_has_a_latency_and_a_restarted_sender_one_rate(collector):
     show(collector, "uplink_video", 20, 20)
     tell(collector, "uplink_video_receive", START_NS, RxRow(2, START_NS))
     figures = collector.streams["uplink_video"]
     assert figures.latency.count == 1
     assert all(stage.count == 0 for stage in figures.stages.values())
-
-
-def test_the_transmitted_capture_time_is_compared_with_the_original_stamp(collector):
     captured, displayed = ms(0, 20)
     tell(collector, "uplink_video_send", displayed, TxRow(9, captured, captured, captured))
     row = ShownRow(9, captured + 40_000, displayed)
     tell(collector, "space_display", displayed, row, stream="uplink_video")
     assert collector.streams["uplink_video"].stamp_error.max == 40_000
+    first, second, overtaken = ms(0, 500, 400)
+    rows = [OutRow(at, 1000, 90_000) for at in (first, second, overtaken)]
+    tell(collector, "uplink_video_send", second, *rows[:2])
+    collector.process("uplink_video_send").handle_end()
+    tell(collector, "uplink_video_send", second, rows[2])
+    assert collector.streams["uplink_video"].rate.max_bps() == 24_000
 
 
 def test_the_skew_of_a_late_sense_is_positive_and_a_silent_sense_has_none(collector):
@@ -130,15 +133,6 @@ def test_the_counts_of_a_restarted_process_are_added(collector):
     assert figures.total(SamplesReceived).received == 0
 
 
-def test_a_restarted_sender_has_one_rate_over_both_lives(collector):
-    first, second, overtaken = ms(0, 500, 400)
-    rows = [OutRow(at, 1000, 90_000) for at in (first, second, overtaken)]
-    tell(collector, "uplink_video_send", second, *rows[:2])
-    collector.process("uplink_video_send").handle_end()
-    tell(collector, "uplink_video_send", second, rows[2])
-    assert collector.streams["uplink_video"].rate.max_bps() == 24_000
-
-
 def test_a_picture_is_compared_with_the_force_of_its_own_instant(collector):
     # Half a second of force in one report, with a growing latency.
     instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
@@ -177,7 +171,7 @@ def test_a_restarted_robot_has_no_latencies_of_its_previous_life(collector):
     assert [skew.p50, skew.max] == pytest.approx([37, 37], rel=0.01)
 
 
-def test_a_process_has_the_time_of_its_messages_and_is_silent_since_its_last_picture():
+def test_a_process_is_silent_since_its_last_picture_and_keeps_what_was_told():
     process = ProcessFigures()
     assert process.silent_ns(START_NS) == 0
     for now_ns in ms(0, 500, 1000):
@@ -195,6 +189,14 @@ def test_a_process_has_the_time_of_its_messages_and_is_silent_since_its_last_pic
     process.handle_message(message(CaptureFigures(source_fault="a gap")), now_ns)
     capture = process.capture
     assert (capture.captured_ns, capture.source_fault) == (captured_ns, "a gap")
+    process = ProcessFigures()
+    first = message(scheduler="fifo", last_error="broken")
+    worse = replace(first, scheduler="other", last_error="worse")
+    told = []
+    for one in (first, message(), worse):
+        process.handle_message(one, START_NS)
+        told.append((process.scheduler, process.last_error))
+    assert told == [("fifo", "broken"), ("fifo", "broken"), ("other", "worse")]
 
 
 def test_an_input_gives_since_its_last_pause_and_a_camera_is_selected_since_its_choice():
@@ -209,14 +211,3 @@ def test_an_input_gives_since_its_last_pause_and_a_camera_is_selected_since_its_
         selector.handle_message(message(SelectorFigures(selected=name)), now_ns)
         since.append(selector.selected_ns)
     assert since == ms(0, 0, 1000)
-
-
-def test_a_later_message_without_news_keeps_what_was_told():
-    process = ProcessFigures()
-    first = message(scheduler="fifo", last_error="broken")
-    worse = replace(first, scheduler="other", last_error="worse")
-    told = []
-    for one in (first, message(), worse):
-        process.handle_message(one, START_NS)
-        told.append((process.scheduler, process.last_error))
-    assert told == [("fifo", "broken"), ("fifo", "broken"), ("other", "worse")]

@@ -170,13 +170,6 @@ def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(ses
     assert session.look(10) == []
 
 
-def test_only_the_newest_are_kept(session):
-    for number in range(DEPTH + 5):
-        session.told("selector", SelectorFigures(selected=f"camera{number}"))
-        session.look(1)
-    assert [event.number for event in session.log.events] == list(range(6, DEPTH + 6))
-
-
 def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
     def row(result, steps, reason="", run=7):
         steps = [TaskStep(at_ns=at_us * 1000, step=step.value) for at_us, step in steps]
@@ -203,7 +196,7 @@ def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
     assert session.look(2.5) == []
 
 
-def test_an_input_is_taken_over_and_given_back(session):
+def test_an_input_is_taken_over_a_path_is_open_and_only_the_newest_events_are_kept(session):
     def look(live, at_s):
         gauges = CaptureFigures(captured_ns=round(at_s * NS_PER_S), live_source=live)
         session.told("camera_left", gauges, at_s=at_s)
@@ -213,11 +206,14 @@ def test_an_input_is_taken_over_and_given_back(session):
     assert look("page", 2) == [(2_000_000, "input", "left: a page took over")]
     assert look("page", 2.5) == []
     assert look("own", 3) == [(3_000_000, "input", "left: its own source again")]
-
-
-def test_a_path_without_protection_is_told_once(session):
+    # A path without protection is told once.
     path = OpenPath(SETUP.downlink, address=("192.0.2.1", 27000), now_ns=5)
     session.told("ground_gateway", path.report(NS_PER_S))
     (told,) = [text for _, what, text in session.look() if what == "link"]
     assert told == "ground: the path is NOT PROTECTED"
     assert session.look(2) == []
+    for number in range(DEPTH + 5):
+        session.told("selector", SelectorFigures(selected=f"camera{number}"))
+        session.look(1)
+    numbers = [event.number for event in session.log.events]
+    assert numbers == list(range(numbers[-1] - DEPTH + 1, numbers[-1] + 1)) and numbers[0] > 5

@@ -124,7 +124,7 @@ def test_the_summary_shows_the_figures_of_the_report():
     assert "from strangers: radio 4" in text
 
 
-def test_a_refusal_is_shown_with_its_reason():
+def test_a_refusal_is_shown_with_its_reason_and_one_end_alone_reports_its_half():
     link, view = Link(), LinkView(SETUP, ENDS)
     link.ends[Segment.SPACE] = gateway(Segment.SPACE, setup=BUILT_IN["spacejustin"])
     link.run(100)
@@ -132,9 +132,6 @@ def test_a_refusal_is_shown_with_its_reason():
         told = [line for line in lines if "refused (" in line]
         assert len(told) == len(ENDS)
         assert all("give both ends the same setup" in line for line in told)
-
-
-def test_one_end_alone_reports_its_own_half():
     link = Link()
     link.run(100)
     del link.collector.processes["space_gateway"]

@@ -11,7 +11,7 @@ from kontur_av.errors import ConfigError
 from pipelines.report.report_file import check_writable, save_report, write_report
 
 
-def test_a_fifo_and_a_link_are_not_replaced(tmp_path):
+def test_a_fifo_and_a_link_are_not_replaced_and_a_device_is_writable(tmp_path, monkeypatch):
     fifo, link, target = tmp_path / "fifo", tmp_path / "link", tmp_path / "target"
     os.mkfifo(fifo)
     got = []
@@ -26,6 +26,11 @@ def test_a_fifo_and_a_link_are_not_replaced(tmp_path):
     write_report(link, {"b": 2})
     assert link.is_symlink()
     assert json.loads(target.read_text()) == {"b": 2}
+    monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_dir())
+    check_writable(Path("/dev/null"))
+    for path in (tmp_path / "r.json", tmp_path):
+        with pytest.raises(ConfigError, match="cannot be written"):
+            check_writable(path)
 
 
 @pytest.mark.parametrize("name", ["link", "plain"])
@@ -45,15 +50,9 @@ def test_an_interrupt_leaves_what_was_there_and_nothing_else(name, tmp_path, mon
     assert {path.name for path in tmp_path.iterdir()} == {"plain", "link"}
 
 
-def test_a_device_is_writable_even_if_its_directory_is_not(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda path, mode: not Path(path).is_dir())
-    check_writable(Path("/dev/null"))
-    for path in (tmp_path / "r.json", tmp_path):
-        with pytest.raises(ConfigError, match="cannot be written"):
-            check_writable(path)
-
-
-def test_a_report_that_has_no_room_is_kept_elsewhere(tmp_path, monkeypatch, capsys):
+def test_a_report_that_has_no_room_is_kept_elsewhere_or_goes_to_standard_error(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert not save_report(Path("/dev/full"), {"kept": 1})
     said = capsys.readouterr().err
@@ -62,9 +61,6 @@ def test_a_report_that_has_no_room_is_kept_elsewhere(tmp_path, monkeypatch, caps
         said == f"kontur-av: --report /dev/full: No space left on device; the report is in {kept}\n"
     )
     assert json.loads(kept.read_text()) == {"kept": 1}
-
-
-def test_a_report_that_can_be_written_nowhere_goes_to_standard_error(monkeypatch, capsys):
     monkeypatch.setattr("tempfile.gettempdir", lambda: "/nowhere")
     assert not save_report(Path("/dev/full"), {"kept": 2})
     first, *rest = capsys.readouterr().err.splitlines()

@@ -25,28 +25,28 @@ class Outer:
     by_name: dict[str, Inner]
 
 
-def test_a_spread_is_by_nearest_rank():
+def test_a_spread_is_by_nearest_rank_a_result_is_json_and_columns_of_high_rank_go_first(tmp_path):
     found = spread([3e6, 1e6, 2e6, 4e6], per_unit=1e6)
     assert (found.p50, found.p95, found.p99, found.max) == (2.0, 4.0, 4.0, 4.0)
     assert math.isnan(spread([]).p50)
-
-
-def test_a_dataclass_becomes_an_object_and_nan_becomes_null():
     inner = Inner(math.nan, ("a", "b"))
     body = {"ratio": None, "names": ["a", "b"]}
     assert as_json(Outer(inner, {"x": inner})) == {"inner": body, "by_name": {"x": body}}
     assert as_json(Inner(0.123456, ()), digits=2) == {"ratio": 0.12, "names": []}
     with pytest.raises(TypeError, match="object"):
         as_json(object())
-
-
-def test_a_result_is_written_with_its_headlines(tmp_path):
     path = tmp_path / "r.json"
     write_result(path, Inner(1.5, ()), [Headline(what="x", unit="ms", value=2.0)])
     written = json.loads(path.read_text())
     assert written["ratio"] == 1.5
     assert written["headlines"][0]["value"] == 2.0
     write_result(None, Inner(1.5, ()), [])
+    ranks, rows = {"name": 9, "keep": 1, "drop": 2}, [["abc", "1", "2"]]
+    shown = [
+        [column.header for column in fitted_table(ranks, rows, width).columns]
+        for width in (22, 21, 1)
+    ]
+    assert shown == [["name", "keep", "drop"], ["name", "keep"], ["name"]]
 
 
 @given(
@@ -63,12 +63,3 @@ def test_no_table_is_wider_than_its_width_or_cuts_a_cell(columns, width):
     assert max(map(len, capture.get().splitlines())) <= width
     kept = capture.get().splitlines()[3]
     assert kept.count("x") == sum(len(next(iter(column.cells))) for column in table.columns)
-
-
-def test_columns_of_the_highest_rank_go_first():
-    ranks, rows = {"name": 9, "keep": 1, "drop": 2}, [["abc", "1", "2"]]
-    shown = [
-        [column.header for column in fitted_table(ranks, rows, width).columns]
-        for width in (22, 21, 1)
-    ]
-    assert shown == [["name", "keep", "drop"], ["name", "keep"], ["name"]]

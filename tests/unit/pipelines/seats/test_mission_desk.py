@@ -88,16 +88,13 @@ def test_what_the_end_did_not_take_is_repeated_and_then_given_up(desk):
     assert line["state"] == "refused" and "do not answer" in line["reason"]
 
 
-def test_lines_of_the_others_come_in_order_and_other_messages_are_no_chat(desk):
+def test_lines_of_others_come_in_order_a_line_must_fit_and_a_viewer_writes_none(desk):
     for number, text in enumerate(("one", "two")):
         fields = {"sender": "cosmonaut", "text": text}
         desk.core.handle_news(K2aciArrived(1, number, "Chat", fields), 0)
     desk.core.handle_news(K2aciArrived(1, 2, "StartTask", {"task": "aiming", "run": 1}), 0)
     lines = [(line["text"], line["state"]) for line in desk.told("chat")["lines"]]
     assert lines == [("one", "received"), ("two", "received")]
-
-
-def test_a_line_must_fit_and_a_viewer_writes_none(desk):
     assert "200" in desk.say("ä" * 101)
     assert desk.say("a\x07b") == desk.say("  ") == "write one line of text"
     assert desk.say("hello", Role.VIEWER) == "a viewer may watch only"
@@ -174,7 +171,7 @@ def test_each_dead_direction_is_said_in_words_and_at_once(desk):
         assert ("does not hear us" in told["words"]) is (level == "bad")
 
 
-def test_values_have_the_colour_of_their_limit(desk):
+def test_values_have_the_colour_of_their_limit_and_what_is_shown_comes_when_it_changes(desk):
     joystick = DICTIONARY.application("joystick")
     (temperature,) = [one for one in joystick.parameters if one.name == "temperature"]
     levels = [level_of(joystick, temperature, value) for value in (20.0, 70.0, 90.0)]
@@ -185,19 +182,6 @@ def test_values_have_the_colour_of_their_limit(desk):
         {"application": "joystick", "name": name, "value": values[name], "level": level, "at_us": 5}
         for name, level in (("temperature", "bad"), ("state", "none"))
     ]
-
-
-def test_who_joins_sees_what_the_others_see(desk):
-    desk.say("hello")
-    desk.report("event", "joystick", "off_nominal", "medium", {"state": "halted"})
-    fresh = desk.core.poll_texts()
-    assert {"chat", "events"} <= set(fresh)
-    assert desk.core.poll_texts() == {}
-    assert {kind: desk.core.texts[kind] for kind in fresh} == fresh
-    assert set(desk.core.texts) == {"chat", "commands", "events", "radio", "values"}
-
-
-def test_what_the_mission_shows_comes_by_name_and_only_when_it_changes(desk):
     listed = TaskListed("aiming", "Aim.")
     shown = ExperimentShown(phase="idle", task="", run=0, elemop="", panel="", tasks=(listed,))
     desk.core.handle_shown("experiment", shown)
@@ -206,3 +190,4 @@ def test_what_the_mission_shows_comes_by_name_and_only_when_it_changes(desk):
     assert told["tasks"] == [{"name": "aiming", "text": "Aim.", "lacks": ""}]
     desk.core.handle_shown("experiment", ExperimentShown(**asdict(shown)))
     assert desk.core.poll_texts() == {}
+    assert set(desk.core.texts) == {"chat", "commands", "events", "experiment", "radio", "values"}

@@ -17,7 +17,7 @@ def drained(queue):
     return found
 
 
-def test_the_most_urgent_goes_first():
+def test_the_most_urgent_goes_first_and_live_units_follow_the_replay():
     queue = ClientQueue([0])
     queue.put_preview(0, b"preview")
     queue.put_figures("figures")
@@ -33,9 +33,6 @@ def test_the_most_urgent_goes_first():
         *(b"pong", "hello", "state", b"sound", b"haptics", b"unit", "figures", b"preview")
     ]
     assert len(queue) == 0
-
-
-def test_live_units_follow_the_replay():
     queue = ClientQueue([0])
     queue.lanes[0].put_unit(b"early", key=True)
     queue.lanes[0].put_replay([b"0", b"1"])
@@ -68,15 +65,12 @@ def test_units_that_do_not_fit_all_go_until_a_replay():
     assert drained(queue) == [b"key", b"next"]
 
 
-def test_sound_loses_the_oldest_and_counts_it():
+def test_sound_loses_the_oldest_and_whoever_asks_and_does_not_read_is_noticed():
     queue = ClientQueue([])
     for number in range(17):
         queue.put_sound(1, b"%d" % number)
     assert drained(queue) == [b"%d" % number for number in range(2, 17)]
     assert queue.units_left_out == 2
-
-
-def test_whoever_asks_and_does_not_read_is_noticed():
     queue = ClientQueue([])
     for _ in range(65):
         assert not queue.overflowed

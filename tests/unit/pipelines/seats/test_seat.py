@@ -152,7 +152,7 @@ def test_a_page_that_stalls_is_sent_a_replay_when_it_takes_again(space):
     assert slow.units() == [(0, 61)]
 
 
-def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits(space):
+def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits(space, ground):
     media = space.seat.media
     space.give_unit(0, key=True)
     space.give_unit(5)
@@ -166,20 +166,18 @@ def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits
     assert media.wanted_pictures() == []
     assert page.units() == [(5, 5), (0, 6)]
 
-
-def test_what_the_selected_camera_films_is_wanted_only_while_a_page_waits_for_it(ground):
-    seat = ground.seat
+    # So is what the selected camera films.
+    seat, media = ground.seat, ground.seat.media
     (stream,) = [each.index for each in seat.plan.streams if each.filmed_topics]
     ground.give_unit(0, key=True, stream=stream)
     ground.give_unit(5, stream=stream)
     seat.handle_camera("static", 0)
-    assert seat.media.wanted_filmed(seat.camera) == {}
+    assert media.wanted_filmed(seat.camera) == {}
     page = ground.open(Role.VIEWER)
-    assert page.units() == []
-    assert seat.media.wanted_filmed(seat.camera) == {stream: TOPOLOGY.camera("static").topic}
-    assert not seat.media.handle_filmed(stream, KEY, 4)
-    assert seat.media.handle_filmed(stream, KEY, 5)
-    assert seat.media.wanted_filmed(seat.camera) == {}
+    assert media.wanted_filmed(seat.camera) == {stream: TOPOLOGY.camera("static").topic}
+    assert not media.handle_filmed(stream, KEY, 4)
+    assert media.handle_filmed(stream, KEY, 5)
+    assert media.wanted_filmed(seat.camera) == {}
     ground.give_unit(6, stream=stream)
     assert page.units()[-1] == (0, 6)
 
@@ -251,17 +249,9 @@ def test_viewers_are_bounded_and_keep_nobody_out_who_may_act(space):
 
 def test_a_command_is_answered_when_the_joystick_has_carried_it_out(space):
     def tell(answered, refusal):
-        status = JoystickStatus(
-            state=JoystickState.STANDBY,
-            reason="",
-            dead_man=False,
-            force_limit_n=1.0,
-            device="x",
-            half_width_m=0.1,
-            half_height_m=0.1,
-            answered=answered,
-            refusal=refusal,
-        )
+        sizes = dict.fromkeys(("force_limit_n", "half_width_m", "half_height_m"), 0.1)
+        known = {"state": JoystickState.STANDBY, "reason": "", "dead_man": False, "device": "x"}
+        status = JoystickStatus(**known, **sizes, answered=answered, refusal=refusal)
         space.seat.handle_status(status, 0)
 
     page = space.open()
@@ -279,6 +269,7 @@ def test_a_command_is_answered_when_the_joystick_has_carried_it_out(space):
     assert page.errors() == []
 
 
+PING = struct.pack("<B7xd", 0x81, 1.0)
 NO_ANSWER, LATER = "select head: no acknowledgement came", "a later request came"
 
 
@@ -424,7 +415,9 @@ def test_figures_pass_unchanged_and_who_joins_gets_all_events(space):
         space.seat.handle_figures(b"{}", 0)
 
 
-def test_ground_control_sees_who_holds_the_handle_in_space(ground):
+def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_session_is_lost(
+    ground, space
+):
     page = ground.open(unread=False)
     for number, holder in enumerate((None, 4), 1):
         told = {"hand.holder": holder, "processes.selector.selected": "head"}
@@ -433,34 +426,22 @@ def test_ground_control_sees_who_holds_the_handle_in_space(ground):
         assert ground.seat.camera != "head"
         ground.seat.handle_time(number * NS_PER_S)
         assert page.texts("state")[-1]["hand"] == FREE | {"holder": holder}
-
-
-def test_a_stopped_session_and_a_link_that_is_refused_are_lost(space):
     page = space.open(Role.VIEWER)
     space.seat.handle_signal(True, 0)
-    for second, (state, told, shown) in enumerate(
-        (
-            ("running", "connected", "connected"),
-            ("running", "refused", "lost"),
-            ("stopped", "connected", "lost"),
-        )
-    ):
+    cases = (("running", "connected", 1), ("running", "refused", 0), ("stopped", "connected", 0))
+    for second, (state, told, connected) in enumerate(cases):
         link = {"gateways.space.supervision.state": told}
         space.seat.handle_figures(figures(second + 1, state, **link), 0)
         space.seat.handle_time(second * NS_PER_S)
-        assert page.texts("state")[-1]["link"] == shown
+        assert page.texts("state")[-1]["link"] == ("connected" if connected else "lost")
 
 
 @pytest.mark.rule("10")
-@pytest.mark.parametrize(
-    ("most", "send"),
-    [
-        (20, lambda page: page.ask("hand", action="give")),
-        (20, lambda page: page.send(struct.pack("<B7xd", 0x81, 1.0))),
-        (1200, lambda page: page.send(hand(1))),
-    ],
-)
-def test_too_much_of_anything_closes_the_page(space, most, send):
+@pytest.mark.parametrize(("most", "octets"), [(20, None), (20, PING), (1200, hand(1))])
+def test_too_much_of_anything_closes_the_page(space, most, octets):
+    def send(page):
+        return page.send(octets) if octets else page.ask("hand", action="give")
+
     page = space.open()
     for _ in range(most):
         send(page)

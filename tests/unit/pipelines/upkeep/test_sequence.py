@@ -34,7 +34,7 @@ def test_a_step_is_a_command_a_wait_or_words():
     ]
 
 
-def test_what_failed_is_next_again_and_may_be_changed_or_skipped():
+def test_what_failed_is_next_again_and_may_be_changed_to_a_command_or_skipped():
     found = sequence()
     found.handle_end(StepOutcome.FAILED)
     assert found.number == 1
@@ -44,9 +44,6 @@ def test_what_failed_is_next_again_and_may_be_changed_or_skipped():
     found.handle_end(StepOutcome.SKIPPED)
     assert found.number == 3
     assert [outcome.value for _, outcome in found.outcomes] == ["failed", "done", "skipped"]
-
-
-def test_a_change_that_is_no_command_leaves_the_step():
     found = sequence()
     before = found.next
     for text in ("rm -r /", "", "# nothing", "tc 'robot", "wait long", "wait -1", "wait nan"):

@@ -58,7 +58,7 @@ def packets(path, kind):
         return [packet for packet in container.demux(stream) if packet.size]
 
 
-def test_there_is_a_film_of_each_camera_and_stream_with_its_sound(written):
+def test_there_is_a_film_of_each_camera_and_stream_with_its_sound_beside_its_picture(written):
     names = {path.name for path in film(written, ".").iterdir()}
     films = {f"{name}_{way}.mkv" for name in VIDEO for way in ("sent", "received")}
     assert names == films | {f"camera_{CAMERA}.mkv"}
@@ -66,6 +66,11 @@ def test_there_is_a_film_of_each_camera_and_stream_with_its_sound(written):
         with av.open(str(film(written, name))) as container:
             kinds = [stream.type for stream in container.streams]
         assert kinds == (["video"] if name.startswith("camera") else ["video", "audio"])
+    for way, early_ms in (("received", 0), ("sent", 6.5)):
+        found = packets(film(written, f"uplink_video_{way}.mkv"), "audio")
+        assert [bytes(packet) for packet in found] == spoken(8_000, SECONDS)
+        heard_ms = [20 * number - early_ms for number in range(1, len(found))]
+        assert [packet.pts for packet in found[1:]] == pytest.approx(heard_ms, abs=0.5)
 
 
 @pytest.mark.parametrize("name", [*VIDEO, CAMERA])
@@ -80,14 +85,6 @@ def test_access_units_are_the_same_at_their_instants_without_those_that_were_los
         received = packets(film(written, "uplink_video_received.mkv"), "video")
         del found[LOST_PICTURE]
         assert [*map(nal_units, received)] == [*map(nal_units, found)]
-
-
-def test_sound_is_beside_its_picture_as_sent_earlier_by_the_codecs_look_ahead(written):
-    for way, early_ms in (("received", 0), ("sent", 6.5)):
-        found = packets(film(written, f"uplink_video_{way}.mkv"), "audio")
-        assert [bytes(packet) for packet in found] == spoken(8_000, SECONDS)
-        heard_ms = [20 * number - early_ms for number in range(1, len(found))]
-        assert [packet.pts for packet in found[1:]] == pytest.approx(heard_ms, abs=0.5)
 
 
 def test_a_player_shows_all_pictures_also_where_their_size_changes(written):
@@ -123,7 +120,7 @@ class Channel:
         self.shown += [unit.data for unit in self.units.handle_facts(facts_message)]
 
 
-def test_where_parts_meet_the_stream_goes_on_as_it_was():
+def test_where_parts_meet_the_stream_goes_on_and_instants_rise():
     channel = Channel()
     channel.put(7, b"key of the recorder", added=True)
     channel.put(8, b"sets+eight", octets=5)
@@ -135,9 +132,6 @@ def test_where_parts_meet_the_stream_goes_on_as_it_was():
     channel.put(14, b"key of the recorder", added=True)
     channel.put(15, b"sets+fifteen", octets=7)
     assert channel.shown[4:] == [b"key of the recorder", b"sets+fifteen"]
-
-
-def test_instants_rise_where_a_receiver_learns_the_clock_of_its_sender():
     clock = FilmClock(0)
     instants = [100.4, 133.6, 50, 80, 300]
     assert [clock.instant_ms(round(at * MS)) for at in instants] == [100, 134, 167, 168, 300]

@@ -109,7 +109,7 @@ def test_state_force_and_action_are_those_of_the_picture(written, rows, episodes
     assert compared > 30
 
 
-def test_episodes_are_the_runs_of_tasks(written, rows, episodes):
+def test_episodes_are_the_runs_of_tasks_with_the_statistics_of_their_rows(written, rows, episodes):
     folder = written[1]
     info = json.loads((folder / "meta/info.json").read_text())
     tasks = pq.read_table(folder / "meta/tasks.parquet")
@@ -125,9 +125,6 @@ def test_episodes_are_the_runs_of_tasks(written, rows, episodes):
     assert rows["index"] == [*range(len(captures))]
     stored = {*rows} | {f"observation.images.{name}" for name in (CAMERA, "head")}
     assert {*info["features"]} == stored
-
-
-def test_the_statistics_are_those_of_the_rows_and_pictures(written, rows, episodes):
     folder = written[1]
     stats = json.loads((folder / "meta/stats.json").read_text())
     force = np.array(rows["observation.force"])
