@@ -75,7 +75,7 @@ _WAITING = """
 #: Long courses on virtual time.
 _LONG = """
     test_deadband_video test_haptics_grid test_haptics_mediated test_mission_tasks
-    test_simulate_files test_sweep_command test_upkeep_pass
+    test_simulate_files test_sweep_command
     """
 #: What needs packages that only the extra `full` has.
 _PACKAGES = "sim/test_cluster sim/test_mujoco_robot unit/pipelines/recording/export/test_lerobot"

@@ -1,8 +1,9 @@
 """Fig. 14 from selection to end: every task of the catalogue, and what ends one early."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import pytest
+from common import repeats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mission import MS, Mission
@@ -13,7 +14,7 @@ from telepresence.tasks.cosmonaut import LOOK_NS
 from telepresence.tasks.experiment import Experiment, Phase, RunStep, TaskRun
 from telepresence.tasks.kernel import PowerRobot, View
 from telepresence.tasks.panel import MissionPanel
-from telepresence.tasks.scores import ScoreKeeper, Scores
+from telepresence.tasks.scores import ScoreKeeper
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import (
     Numbered,
@@ -44,47 +45,28 @@ def is_at_rest(mission):
     )
 
 
-@dataclass
-class Done:
-    """One task from its selection to 3 s after its end. views: of the panel, at each look."""
-
-    run: TaskRun
-    steps: list
-    records: int
-    at_rest: bool
-    scores: Scores
-    views: list = field(default_factory=list)
-
-
 def done(skill, tasks):
-    """Do these tasks one after the other; return the mission, and each by its name."""
+    """Do these tasks one after the other; by name: run, scores, and the panel's views."""
     mission, by_task = Mission(skill=skill), {}
-    for name in tasks:
-        mission.keeper, views, count = ScoreKeeper(), [], len(mission.runs)
+    for number, name in enumerate(tasks, 1):
+        mission.keeper, views = ScoreKeeper(), []
 
-        def over(views=views, count=count):
+        def over(views=views, number=number):
             if mission.now_ns % LOOK_NS == MS:
                 views.append(mission.panel.view)
-            return len(mission.runs) > count
+            return len(mission.runs) == number
 
         assert mission.experiment.select(name, mission.now_ns) == ""
         assert mission.run(240, until=over), name
         mission.run(3)
         run = mission.runs[-1]
-        by_task[name] = Done(
-            run,
-            steps(mission, run.run),
-            len(mission.records),
-            is_at_rest(mission),
-            mission.keeper.report(),
-            views,
-        )
-    return mission, by_task
-
-
-@pytest.fixture(scope="module")
-def beginner():
-    return done(0.0, ("line", "spring"))
+        assert (run.task, run.run, run.result) == (name, number, TaskResult.FINISHED), run.reason
+        assert steps(mission, run.run) == list(RunStep)
+        assert is_at_rest(mission)
+        assert len(mission.records) == 2 * number
+        by_task[name] = run, mission.keeper.report(), views
+    assert mission.panel.mode is PanelMode.WAIT_TASK
+    return by_task
 
 
 @pytest.fixture(scope="module")
@@ -92,22 +74,18 @@ def trained():
     return done(1.0, TASKS)
 
 
-@pytest.mark.parametrize("who", ["beginner", "trained"])
-def test_every_task_is_done_and_each_step_is_logged_once_in_order(who, request):
-    mission, tasks = request.getfixturevalue(who)
-    for number, (name, one) in enumerate(tasks.items(), 1):
-        run = one.run
-        assert (run.task, run.run, run.result) == (name, number, TaskResult.FINISHED), run.reason
-        assert one.steps == list(RunStep)
-        assert one.at_rest
-        assert one.records == 2 * number
-    assert mission.panel.mode is PanelMode.WAIT_TASK
+def test_every_task_is_done_and_a_trained_cosmonaut_is_faster_and_nearer(trained):
+    assert tuple(trained) == TASKS
+    beginner = done(0.0, ("line", "spring"))
+    (slow, slow_scores, _), (fast, fast_scores, _) = beginner["line"], trained["line"]
+    assert fast_scores.error_mean < slow_scores.error_mean
+    assert fast.ended_ns - fast.started_ns < slow.ended_ns - slow.started_ns
 
 
 def test_the_panel_says_what_to_do_how_far_it_is_and_how_much_time_is_left(trained):
     by_task = {
-        task: [view for view in one.views if view.left_s is not None and view.task == task]
-        for task, one in trained[1].items()
+        task: [view for view in views if view.left_s is not None and view.task == task]
+        for task, (_, _, views) in trained.items()
     }
     waited = [one for one in by_task["aiming"] if one.goal == ""]
     assert 170.0 < waited[0].left_s <= 180.0 and waited[-1].left_s < waited[0].left_s
@@ -124,13 +102,6 @@ def test_the_panel_says_what_to_do_how_far_it_is_and_how_much_time_is_left(train
     assert percents == sorted(percents) and percents[-1] >= 80
     (force_n,) = {one.force_n for one in by_task["spring"] if one.goal == "spring"}
     assert force_n == 3.0
-
-
-def test_a_trained_cosmonaut_is_faster_and_nearer(beginner, trained):
-    slow, fast = beginner[1]["line"], trained[1]["line"]
-    assert slow.run.result is fast.run.result is TaskResult.FINISHED
-    assert fast.scores.error_mean < slow.scores.error_mean
-    assert fast.run.ended_ns - fast.run.started_ns < slow.run.ended_ns - slow.run.started_ns
 
 
 def reached(mission, phase, panel=None):
@@ -194,9 +165,7 @@ def test_a_task_that_takes_too_long_times_out():
     mission.run(1)
     assert mission.panel.view.words == ("The task took too long. Step 1 of 4 was not done in time.")
     assert is_at_rest(mission)
-
-
-def test_a_cosmonaut_who_never_starts_is_not_waited_for_for_ever():
+    # One who never starts is not waited for for ever.
     mission = Mission(patience_ns=8 * 10**9)
     mission.cosmonaut.look = lambda *_: None
     assert mission.experiment.select("line", 0) == ""
@@ -207,26 +176,29 @@ def test_a_cosmonaut_who_never_starts_is_not_waited_for_for_ever():
     assert is_at_rest(mission)
 
 
-def test_who_keeps_the_dead_man_button_pressed_at_the_start_is_told_to_let_go():
+def panel_of(run=1):
+    """Return a panel in contact that was told of a run of the task `line`."""
     panel = MissionPanel()
     panel.handle_contact(True, 0)
-    panel.handle_message(TaskSelected(task="line", run=1), 0)
+    panel.handle_message(TaskSelected(task="line", run=run), 0)
+    return panel
+
+
+def test_who_keeps_the_dead_man_button_pressed_at_the_start_is_told_to_let_go():
+    panel, words = panel_of(), []
     panel.handle_button(0)
-    words = []
-    for second in range(6):
-        panel.handle_handle(0.0, 0.0, dead_man=True, halted="", now_ns=second * 10**9)
+    for second in range(8):
+        dead_man = second != 6
+        panel.handle_handle(0.0, 0.0, dead_man=dead_man, halted="", now_ns=second * 10**9)
         words.append(panel.view.words)
-    assert "let go" not in words[2] and "let go" in words[-1]
-    panel.handle_handle(0.0, 0.0, dead_man=False, halted="", now_ns=6 * 10**9)
-    assert panel.mode is PanelMode.PRESS_DEADMAN and "Space" in panel.view.words
-    panel.handle_handle(0.0, 0.0, dead_man=True, halted="", now_ns=7 * 10**9)
+        if not dead_man:
+            assert panel.mode is PanelMode.PRESS_DEADMAN and "Space" in panel.view.words
+    assert "let go" not in words[2] and "let go" in words[5]
     assert panel.mode is PanelMode.RUNNING
 
 
 def test_a_panel_shows_the_end_only_of_the_run_that_it_has():
-    panel = MissionPanel()
-    panel.handle_contact(True, 0)
-    panel.handle_message(TaskSelected(task="line", run=2), 0)
+    panel = panel_of(run=2)
     end = TaskFinished(task="line", run=2, result=TaskResult.FINISHED)
     panel.handle_message(replace(end, run=1), 1)
     assert panel.mode is PanelMode.TASK_INFO
@@ -240,18 +212,14 @@ def test_a_panel_shows_the_end_only_of_the_run_that_it_has():
     assert panel.mode is PanelMode.FINISHED
 
 
-@pytest.mark.parametrize("reason", ["", "x" * 500, "two\nlines", "ü" * 100])
-def test_any_reason_fits_in_the_messages_about_an_end(reason):
-    panel = MissionPanel()
-    panel.handle_contact(True, 0)
-    panel.handle_message(TaskSelected(task="line", run=1), 0)
-    panel.handle_handle(0.0, 0.0, dead_man=False, halted=reason or "halted", now_ns=1)
-    told = []
-    while (message := panel.poll_message()) is not None:
-        told.append(message)
-    assert told[-1].mode is PanelMode.ERROR and told[-1].reason
-    for message in told:
-        assert parse_body(pack_body(Numbered(1, 0, 0, message))).message == message
+def test_any_reason_fits_in_the_messages_about_an_end():
+    for reason in ("halted", "x" * 500, "two\nlines", "ü" * 100):
+        panel = panel_of()
+        panel.handle_handle(0.0, 0.0, dead_man=False, halted=reason, now_ns=1)
+        told = list(iter(panel.poll_message, None))
+        assert told[-1].mode is PanelMode.ERROR and told[-1].reason
+        for message in told:
+            assert parse_body(pack_body(Numbered(1, 0, 0, message))).message == message
 
 
 def test_a_dead_man_button_that_is_let_go_stops_the_tip_and_not_the_task():
@@ -274,52 +242,23 @@ def test_a_dead_man_button_that_is_let_go_stops_the_tip_and_not_the_task():
     assert mission.runs[0].result is TaskResult.FINISHED
 
 
+VIEWS = ("signal", "fault", "halted")
 EVENTS = st.sampled_from(
     [
-        ("select", "aiming"),
-        ("select", "line"),
-        ("abort", ""),
-        ("start", ""),
-        ("stray", ""),
-        ("panel", PanelMode.ERROR),
-        ("panel", PanelMode.RUNNING),
-        ("signal", False),
-        ("signal", True),
-        ("fault", "hot"),
-        ("fault", ""),
-        ("halt", True),
-        ("halt", False),
-        ("wait", 1),
-        ("wait", 30),
-        ("wait", 700),
+        *(("select", "aiming"), ("select", "line"), ("abort", ""), ("start", ""), ("stray", "")),
+        *(("panel", PanelMode.ERROR), ("panel", PanelMode.RUNNING)),
+        *(("signal", False), ("signal", True), ("fault", "hot"), ("fault", "")),
+        *(("halted", True), ("halted", False), ("wait", 1), ("wait", 30), ("wait", 700)),
     ]
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=repeats(40))
 @given(st.lists(EVENTS, max_size=30))
 def test_in_any_order_of_events_every_run_ends_once_with_the_robot_off(events):
     experiment = Experiment(built_in_tasks())
     selected, ended, powered, now_ns = 0, [], False, 0
     view = {"signal": True, "fault": "", "halted": False}
-
-    def settle():
-        nonlocal powered
-        while (order := experiment.poll_transmit(now_ns)) is not None:
-            powered = order.on if isinstance(order, PowerRobot) else powered
-        while (message := experiment.poll_message()) is not None:
-            assert not isinstance(message, StartTask | PanelState)
-        while (event := experiment.next_event()) is not None:
-            if isinstance(event, TaskRun):
-                ended.append(event.run)
-
-    def tick(count):
-        nonlocal now_ns
-        for _ in range(count):
-            now_ns += 100_000_000
-            experiment.handle_view(View(powered=powered, **view), now_ns)
-            settle()
-
     for what, value in [*events, ("signal", True), ("wait", 7_000)]:
         run = experiment.status.run
         if what == "select":
@@ -335,11 +274,18 @@ def test_in_any_order_of_events_every_run_ends_once_with_the_robot_off(events):
             experiment.handle_message(finished, now_ns)
         elif what == "panel":
             experiment.handle_message(PanelState(mode=value, task="line", run=run), now_ns)
-        elif what == "wait":
-            tick(value)
-        else:
-            view[{"signal": "signal", "fault": "fault", "halt": "halted"}[what]] = value
-        settle()
+        elif what in VIEWS:
+            view[what] = value
+        for _ in range(value if what == "wait" else 1):
+            if what == "wait":
+                now_ns += 100_000_000
+                experiment.handle_view(View(powered=powered, **view), now_ns)
+            while (order := experiment.poll_transmit(now_ns)) is not None:
+                powered = order.on if isinstance(order, PowerRobot) else powered
+            for message in iter(experiment.poll_message, None):
+                assert not isinstance(message, StartTask | PanelState)
+            news = iter(experiment.next_event, None)
+            ended += [event.run for event in news if isinstance(event, TaskRun)]
     assert experiment.status.phase is Phase.IDLE
     assert ended == list(range(1, selected + 1))
     assert not powered
