@@ -34,14 +34,11 @@ def test_the_region_is_around_the_tip_where_the_world_draws_it(camera, scene):
     assert centre(region) == pytest.approx(drawn, abs=1)
 
 
-def test_a_camera_of_the_users_own_is_calibrated_by_the_corners():
+def test_a_camera_of_the_users_own_is_calibrated_and_without_a_fresh_tip_there_is_no_region():
     # What the setup says of a camera wins over what the world knows.
     for sources in (OWN, {}):
         tip = tip_at(sources=sources, region_points={"static": CORNERS})
         assert centre(tip.region("static", 0)) == (300, 240)
-
-
-def test_without_a_fresh_tip_or_a_calibration_there_is_no_region():
     assert tip_region(BUILT_IN["spacejustin"]) is None
     assert tip_region(SETUP).region("stereo", 0) is None
     tip = tip_at(sources=OWN)

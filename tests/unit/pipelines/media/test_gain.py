@@ -60,6 +60,16 @@ def test_capacity_that_was_not_steady_is_not_used(gain, least, bps):
     told(gain, SECOND, NS_PER_S, STEADY_NS)
     assert gain.bps == bps
 
+    # A key picture that is due anyway needs no longer wait, and the gain is summed over time.
+    gain = CapGain(SETUP, STREAM)
+    told(gain, FIRST, 0, 3 * NS_PER_S)
+    gain.handle_freed(0, 3 * NS_PER_S)
+    assert gain.gained_bits == FIRST_BPS
+    told(gain, FIRST, 3 * NS_PER_S, STEADY_NS)
+    assert gain.bps == 0
+    assert gain.handle_freed(FIRST, 3 * NS_PER_S + STEADY_NS, at_once=True)
+    assert (gain.bps, gain.changes) == (FIRST_BPS, 3)
+
 
 def test_it_falls_at_once_and_rises_later_after_a_short_gain(gain):
     now_ns, waits_ns = 0, []
@@ -75,22 +85,6 @@ def test_it_falls_at_once_and_rises_later_after_a_short_gain(gain):
     now_ns = risen_ns + LASTED_NS
     gain.handle_freed(0, now_ns)
     assert told(gain, FIRST, now_ns, 3 * NS_PER_S) == [now_ns + STEADY_NS]
-
-
-def test_a_key_picture_that_is_due_anyway_needs_no_longer_wait(gain):
-    told(gain, FIRST, 0, 3 * NS_PER_S)
-    gain.handle_freed(0, 3 * NS_PER_S)
-    told(gain, FIRST, 3 * NS_PER_S, STEADY_NS)
-    assert gain.bps == 0
-    assert gain.handle_freed(FIRST, 3 * NS_PER_S + STEADY_NS, at_once=True)
-    assert gain.bps == FIRST_BPS
-
-
-def test_the_gain_is_summed_over_time(gain):
-    told(gain, FIRST, 0, STEADY_NS + CYCLE_NS)
-    gain.handle_freed(0, STEADY_NS + NS_PER_S)
-    gain.handle_freed(0, STEADY_NS + 5 * NS_PER_S)
-    assert (gain.gained_bits, gain.changes) == (FIRST_BPS, 2)
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

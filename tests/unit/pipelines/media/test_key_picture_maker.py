@@ -33,16 +33,13 @@ def shown(unit):
     return found.to_i420().astype(int)
 
 
-def test_a_picture_is_coded_and_a_coarse_one_is_smaller(maker):
+def test_a_picture_is_coded_and_nobody_waits_while_that_of_many_units_is_made(maker):
     fine, coarse = maker.of_picture(picture()), maker.of_picture(picture(), 40)
     assert np.abs(shown(fine.result(PATIENCE_S)) - picture()).max() < 16
     assert len(coarse.result(PATIENCE_S)) < len(fine.result(PATIENCE_S))
     # What was filmed is coded in the size of the stream.
     made = maker.of_filmed(picture(2 * WIDTH, 2 * HEIGHT), WIDTH, HEIGHT)
     assert shown(made.result(PATIENCE_S)).shape == picture().shape
-
-
-def test_nobody_waits_while_the_last_picture_of_many_units_is_made(maker):
     encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=400_000)
     frames = [VideoFrame(picture(number=n), CaptureStamp(n, n, "x")) for n in range(150)]
     units = [encoder.encode(frame).data for frame in frames]

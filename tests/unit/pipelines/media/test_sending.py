@@ -17,22 +17,16 @@ def feed(*words):
     return sending.open_feed(make_parser().parse_args([*WORDS, *words]), ManualClock(0))
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
+def test_refresh_and_search_reach_the_encoder_or_are_refused(monkeypatch):
+    given = {}
+    monkeypatch.setattr(sending, "PictureFeed", lambda *_, **options: given.update(options))
+    for words, told in (
         ((), {"refresh_s": None, "search": "thorough"}),
         (("--refresh-s", "0.5"), {"refresh_s": 0.5}),
         (("--search", "quick"), {"search": "quick"}),
-    ],
-)
-def test_refresh_and_search_reach_the_encoder(monkeypatch, words, told):
-    given = {}
-    monkeypatch.setattr(sending, "PictureFeed", lambda *_, **options: given.update(options))
-    feed(*words)
-    assert told.items() <= given.items()
-
-
-@pytest.mark.parametrize("seconds", ["0.05", "601"])
-def test_a_refresh_that_cannot_be_is_refused(seconds):
-    with pytest.raises(ConfigError, match="--refresh-s"):
-        feed("--refresh-s", seconds)
+    ):
+        feed(*words)
+        assert told.items() <= given.items()
+    for seconds in ("0.05", "601"):
+        with pytest.raises(ConfigError, match="--refresh-s"):
+            feed("--refresh-s", seconds)

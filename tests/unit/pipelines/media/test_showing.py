@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.detect import Click, Light
 from kontur_av.media import CaptureStamp, empty_picture
 from pipelines.media import showing
 from pipelines.media.process_display import _write
@@ -52,25 +51,23 @@ def display():
     return Display()
 
 
-def test_fresh_pictures_are_drawn_once_and_unmarked_and_late_ones_are_marked(display):
+def test_fresh_pictures_are_drawn_once_stale_ones_with_their_age_and_sound_makes_none_fresh(
+    display,
+):
     for now_ms in range(100, 1000, 50):
         display.show(VIDEO, now_ms - 60, now_ms)
     assert display.drawn == [(now_ms, None) for now_ms in range(100, 1000, 50)]
     late = Display()
     late.show(VIDEO, 0, STALE_MS + 50)
     assert late.drawn == [(STALE_MS + 50, STALE_MS + 50)]
-
-
-def test_a_picture_that_goes_stale_is_marked_with_its_age_ten_times_a_second(display):
+    display = Display()
     display.show(VIDEO, 0, 20)
     display.run(STALE_MS + 350)
     aged = [(STALE_MS + late, STALE_MS + late) for late in (0, 100, 200, 300)]
     assert display.drawn == [(20, None), *aged]
     display.show(VIDEO, STALE_MS + 300, STALE_MS + 360)
     assert display.drawn[-1] == (STALE_MS + 360, None)
-
-
-def test_sound_draws_nothing_and_makes_no_picture_fresh(display):
+    display = Display()
     display.show(VOICE, 0, 20)
     display.run(10_000)
     assert display.drawn == []
@@ -108,7 +105,9 @@ def test_snapshots_are_many_at_first_and_some_dozens_a_day_in_any_life_of_the_pr
             assert schedule_at(session_ns).poll_timeout() == START_NS + after
 
 
-def test_displays_and_the_merge_with_its_halves_are_kept_and_missed_ones_not_caught_up():
+def test_displays_and_the_merge_are_kept_missed_ones_not_caught_up_and_a_failed_write_is_none(
+    tmp_path,
+):
     def taken(schedule, now_ns):
         schedule.handle_time(now_ns)
         return list(iter(schedule.next_event, None))
@@ -124,9 +123,6 @@ def test_displays_and_the_merge_with_its_halves_are_kept_and_missed_ones_not_cau
     assert len(taken(schedule, late_ns)) == 3
     assert schedule.poll_timeout() > late_ns
     assert taken(schedule, late_ns) == []
-
-
-def test_a_failed_write_is_no_snapshot(tmp_path):
     picture = np.full((72, 64), 128, np.uint8)
     assert _write(tmp_path, "ground-stereo-0001s", picture, halves=True) == [True] * 3
     assert len(list(tmp_path.glob("*.png"))) == 3
@@ -171,19 +167,3 @@ def test_a_click_has_the_capture_time_of_its_own_sample_also_in_a_shortened_voic
     assert slack_ns == 0
     if played == 960:
         assert instant_ns - capture_ns == LATE_NS
-
-
-def test_what_is_found_is_dated_by_its_picture_or_block_or_not_reported():
-    probe, recall = Probe(), showing.Recall(depth=2)
-    for timestamp in (1, 2, 3):
-        recall.add(timestamp, timestamp * NS_PER_MS)
-    showing.tell_light(probe, "uplink_video", Light(9, 2, 1, 0.5, 0.5, 100.0), recall.captured_ns)
-    assert not probe.series(LightRow, "uplink_video").values
-    showing.tell_light(probe, "uplink_video", Light(9, 3, 2, 0.5, 0.5, 100.0), recall.captured_ns)
-    assert list(probe.series(LightRow, "uplink_video").values) == [9, 3 * NS_PER_MS, NS_PER_MS, 100]
-    # A click in a shortened block is dated by its place in the whole one.
-    half = {"offset_ns": 5 * NS_PER_MS, "length_ns": 10 * NS_PER_MS}
-    showing.tell_click(
-        probe, "uplink_voice", Click(500, 7, strength=900.0, **half), {7: 100 * NS_PER_MS}
-    )
-    assert list(probe.series(ClickRow, "uplink_voice").values) == [500, 110 * NS_PER_MS, 0, 900]

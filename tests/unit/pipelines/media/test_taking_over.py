@@ -84,6 +84,14 @@ def test_stamps_rise_and_count_without_a_gap_whatever_a_page_says(camera):
     assert {stamp.source for stamp in camera.stamps} == {"head"}
     assert (camera.takeover.from_page, camera.takeover.refused) == (3, 2)
 
+    # The process knows when to look for its own source again.
+    takeover = Takeover.of_pictures("head")
+    assert takeover.poll_timeout() is None
+    Input(takeover).page(1000, now_ms=1010)
+    assert takeover.poll_timeout() == 1510 * NS_PER_MS
+    assert takeover.live(1509 * NS_PER_MS) and not takeover.live(1510 * NS_PER_MS)
+    assert takeover.poll_timeout() is None
+
 
 def test_the_own_source_does_not_return_for_one_picture_between_late_ones(camera):
     """A page 480 ms behind is still one page."""
@@ -91,15 +99,6 @@ def test_the_own_source_does_not_return_for_one_picture_between_late_ones(camera
         camera.page(at_ms - 480, now_ms=at_ms)
         camera.own(at_ms + 30)
     assert all(of_page for of_page, _ in camera.taken)
-
-
-def test_the_process_knows_when_to_look_for_its_own_source_again(camera):
-    assert camera.takeover.poll_timeout() is None
-    camera.page(1000, now_ms=1010)
-    assert camera.takeover.poll_timeout() == 1510 * NS_PER_MS
-    assert camera.takeover.live(1509 * NS_PER_MS)
-    assert not camera.takeover.live(1510 * NS_PER_MS)
-    assert camera.takeover.poll_timeout() is None
 
 
 def rtp_timestamps(stamps):
@@ -140,22 +139,6 @@ def test_no_sound_is_sent_twice_when_a_page_takes_over_or_goes(microphone):
     assert blocks[-1] - blocks[0] == (starts[-1] - starts[0]) // BLOCK_NS
 
 
-@pytest.mark.parametrize(
-    ("size", "small"),
-    [
-        ((640, 480), (160, 120)),
-        ((384, 288), (160, 120)),
-        ((1280, 720), (160, 88)),
-        ((720, 1280), (66, 120)),
-        ((64, 48), (64, 48)),
-        ((4096, 16), (160, 16)),
-    ],
-)
-def test_a_preview_has_the_aspect_of_its_picture(size, small):
-    assert preview_size(*size) == small
-    check_size(*small)
-
-
 def previews(previewing, instants_ns):
     taken = []
     for now_ns in instants_ns:
@@ -165,7 +148,7 @@ def previews(previewing, instants_ns):
     return taken
 
 
-def test_about_five_pictures_a_second_become_previews_from_the_first_look_on():
+def test_about_five_pictures_a_second_become_previews_with_their_aspect():
     for fps in (10, 12, 25, 30):
         instants_ns = [number * NS_PER_S // fps for number in range(4 * fps)]
         assert len(previews(Previewing(), instants_ns)) in (20, 21)
@@ -174,3 +157,9 @@ def test_about_five_pictures_a_second_become_previews_from_the_first_look_on():
     previewing.handle_preview(0)
     taken = previews(previewing, [ms * NS_PER_MS for ms in range(10_010, 11_010, 40)])
     assert taken == [ms * NS_PER_MS for ms in range(10_010, 10_811, 200)]
+    for size, small in (
+        *(((640, 480), (160, 120)), ((1280, 720), (160, 88)), ((720, 1280), (66, 120))),
+        *(((64, 48), (64, 48)), ((4096, 16), (160, 16))),
+    ):
+        assert preview_size(*size) == small
+        check_size(*small)

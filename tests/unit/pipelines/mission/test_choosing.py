@@ -136,7 +136,7 @@ def test_choice_and_confirmation_are_told_again_after_a_while_and_at_once_if_new
     assert choice.poll_choice(AGAIN_NS + 1) == Choice(AGAIN_NS + 1, "static")
 
 
-def test_the_dictionary_of_a_session_knows_its_cameras():
+def test_a_session_knows_its_cameras_and_numbers_their_pictures_without_a_gap():
     dictionary = built_in_dictionary()
     (anyone,) = dictionary.application("camera").parameters
     assert anyone.size == MAX_CAMERA_OCTETS
@@ -145,9 +145,6 @@ def test_the_dictionary_of_a_session_knows_its_cameras():
     assert camera.unpack(camera.pack("static")) == "static"
     with pytest.raises(ConfigError, match=r"^unknown camera roof: choose one of stereo, static"):
         camera.pack("roof")
-
-
-def test_pictures_of_all_cameras_are_numbered_without_a_gap_and_choices_survive_packing():
     follower = CameraFollower()
     numbers = []
     for number, camera in enumerate(("stereo", "static", "stereo")):

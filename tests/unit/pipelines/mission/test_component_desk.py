@@ -42,17 +42,7 @@ def test_a_function_gets_its_arguments_by_name_and_may_refuse_or_raise(mission):
     assert mission.ask("call", "recharge", 12.5).ok
 
 
-def test_an_argument_outside_of_its_range_is_refused_at_acceptance(mission):
-    for value in (11.0, float("nan"), float("inf")):
-        line = f"target is {value:g}: give at least 11.1 and at most 14.4"
-        assert mission.ask("call", "recharge", value).reason == line
-    assert mission.battery.calls == []
-    # The limits themselves are within, although no single-precision number is exactly 11.1.
-    assert mission.ask("call", "recharge", 11.1).ok
-    assert mission.ask("call", "recharge", 14.4).ok
-
-
-def test_what_a_telecommand_has_set_outlives_the_process(mission):
+def test_what_a_telecommand_has_set_outlives_the_process_and_its_range_is_checked(mission):
     assert mission.ask("set", values={"limit": 30}).ok
     assert mission.battery.settings == [("limit", 30)]
     refused = mission.ask("set", values={"limit": 41})
@@ -62,6 +52,13 @@ def test_what_a_telecommand_has_set_outlives_the_process(mission):
     mission.run(1)
     assert mission.ask("parameters", "", "limit").ok
     assert reported(mission, "parameters")[-1].values == {"limit": 30}
+    for value in (11.0, float("nan"), float("inf")):
+        line = f"target is {value:g}: give at least 11.1 and at most 14.4"
+        assert mission.ask("call", "recharge", value).reason == line
+    assert mission.battery.calls == []
+    # The limits themselves are within, although no single-precision number is exactly 11.1.
+    assert mission.ask("call", "recharge", 11.1).ok
+    assert mission.ask("call", "recharge", 14.4).ok
 
 
 def test_its_own_events_and_those_of_its_limits_are_reported_and_kept_for_the_report(mission):

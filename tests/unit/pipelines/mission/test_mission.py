@@ -11,19 +11,13 @@ from hypothesis import strategies as st
 from kontur_av.clock import NS_PER_MS
 from pipelines.mission.mission import MissionGround, MissionMemory, Seen, robot_order
 from pipelines.session.mission_messages import (
-    CameraWish,
-    LedsShown,
-    PanelShown,
-    RobotOrder,
     RobotStatus,
-    pack,
-    unpack,
 )
 from pipelines.session.task_journal import LinkMeanwhile
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.experiment import RunStep
-from telepresence.tasks.kernel import ChooseCamera, MoveRobot, Record
+from telepresence.tasks.kernel import ChooseCamera, Record
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import DARK, pack_acknowledgement, parse_picture
 from telepresence.tasks.plan import PlannedTask, SessionPlan
@@ -178,7 +172,7 @@ def test_a_trainer_lets_a_task_fail_and_says_why(begin):
     assert ground.phase == "idle" and not ground.robot.powered
 
 
-def test_a_panel_that_was_restarted_is_told_its_task_again_or_ends_the_run():
+def test_a_restarted_panel_is_told_its_task_again_or_ends_the_run_as_a_fault_of_the_robot_does():
     ground = offered()
     ground.messages.clear()
     ground.panel(PanelMode.WAIT_TASK, 0)
@@ -188,9 +182,15 @@ def test_a_panel_that_was_restarted_is_told_its_task_again_or_ends_the_run():
     ground.go(2)
     assert ground.ended == ("aborted", "the panel was restarted")
     assert not ground.robot.powered and not ground.recording
+    fault = "force above 28 N"
+    ground = running()
+    ground.change(fault=fault)
+    ground.go(2)
+    result, reason = ground.ended
+    assert result == "aborted" and fault in reason
 
 
-def test_the_next_life_ends_the_run_and_goes_on_with_the_numbers():
+def test_the_next_life_ends_the_run_or_without_a_memory_switches_the_robot_off():
     before = running()
     kept = msgspec.json.decode(msgspec.json.encode(before.core.memory), type=MissionMemory)
     ground = Ground(kept)
@@ -202,9 +202,6 @@ def test_the_next_life_ends_the_run_and_goes_on_with_the_numbers():
     (row,) = ground.core.memory.rows
     assert (row.run, row.result) == (1, "aborted")
     assert [run.run for run in ground.core.shown.runs] == [1]
-
-
-def test_the_next_life_whose_memory_is_lost_switches_the_robot_off():
     ground = Ground()
     ground.change(powered=True)
     ground.recording = True
@@ -212,31 +209,6 @@ def test_the_next_life_whose_memory_is_lost_switches_the_robot_off():
     ground.settle()
     assert not ground.robot.powered and not ground.recording
     assert ground.core.leds.picture == DARK
-
-
-@pytest.mark.parametrize("fault", ["it does not answer", "force above 28 N"])
-def test_a_robot_with_a_fault_ends_the_run(fault):
-    ground = running()
-    ground.change(fault=fault)
-    ground.go(2)
-    result, reason = ground.ended
-    assert result == "aborted" and fault in reason
-
-
-def test_messages_are_what_was_packed():
-    panel = {"mode": "hold", "task": "aiming", "run": 1, "text": "", "words": "Hold it there."}
-    messages = (
-        CameraWish(3, "head"),
-        robot_order(MoveRobot(0.01, -0.02), 7),
-        RobotOrder(8, "power", on=True),
-        Ground().robot,
-        offered().core.shown,
-        LedsShown.of(DARK),
-        PanelShown(**panel, start_m=(0.0, 0.1), held_s=1.5),
-    )
-    for message in messages:
-        assert unpack(type(message), pack(message)) == message
-    assert LedsShown.of(DARK).picture == DARK
 
 
 #: Before a step, these.

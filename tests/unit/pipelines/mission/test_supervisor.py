@@ -97,22 +97,13 @@ def test_a_stop_is_completed_once_the_process_has_stopped_and_a_start_once_it_ru
     assert ends(ground.ask("call", "start", "camera_head")) == [(3, False)]
 
 
-def test_neither_what_the_safety_rules_need_nor_what_is_not_there_can_be_stopped(ground):
+def test_what_safety_needs_cannot_be_stopped_and_an_end_that_nobody_asked_for_is_off_nominal(
+    ground,
+):
     names = ("robot", "selector", "ground_gateway", "page_ground", "x", "leds")
     for number, process in enumerate(names, 1):
         assert ends(ground.ask("call", "stop", process)) == [(number, False)]
     assert ground.orders == []
-
-
-def test_every_other_process_of_an_end_may_be_stopped():
-    kept = {row.name for row in TOPOLOGY.supervised if not row.stoppable}
-    assert kept == KEPT
-    shared = topology_of(replace(BUILT_IN["spacejustin"], partner_arm="shared"))
-    more = {row.name for row in shared.supervised if not row.stoppable}
-    assert more == KEPT | {"owner_desk"}
-
-
-def test_an_end_that_nobody_asked_for_is_off_nominal(ground):
     news = ground.look(leds={"state": "running", "restarts": 1}, stereo={"restarts": 1})
     assert events(news) == ["leds_changed", "leds_off_nominal", "stereo_off_nominal"]
 
@@ -156,16 +147,13 @@ def test_housekeeping_has_the_figures_of_every_process_of_the_end(ground):
     assert (values["camera_head_state"], values["leds_state"]) == ("running", "absent")
 
 
-def test_both_machines_of_a_session_have_the_same_tables():
+def test_both_machines_have_the_same_tables_with_all_cameras_and_few_kept_processes():
     plain = session_dictionary(built_in_dictionary(), TOPOLOGY)
     options = {"pages": True, "tasks": True, "packets": True, "recorder": True, "trainer": True}
     full = topology_of(BUILT_IN["spacejustin"], **options)
     assert session_dictionary(built_in_dictionary(), full) == plain
     assert SessionOptions(**options) != TOPOLOGY.options
     assert "ground_supervisor_robot_slips" in dictionary_xtce(plain)
-
-
-def test_cameras_of_any_name_have_parameters_of_their_own():
     names = ("a b", "a-b")
     sources = dict.fromkeys(names, "scene:static")
     setup = replace(BUILT_IN["taskboard"], cameras=names, sources=sources)
@@ -173,3 +161,8 @@ def test_cameras_of_any_name_have_parameters_of_their_own():
     table = dictionary.application("ground_supervisor")
     assert table.parameter("camera_a_b_state") != table.parameter("camera_a_b__state")
     assert {"camera_a b", "camera_a-b"} <= set(table.parameter("process").choices)
+    kept = {row.name for row in TOPOLOGY.supervised if not row.stoppable}
+    assert kept == KEPT
+    shared = topology_of(replace(BUILT_IN["spacejustin"], partner_arm="shared"))
+    more = {row.name for row in shared.supervised if not row.stoppable}
+    assert more == KEPT | {"owner_desk"}

@@ -62,7 +62,7 @@ def test_other_words_are_refused_with_their_mend(words, says):
         command(*words)
 
 
-def test_what_became_of_a_telecommand_is_said_in_a_line():
+def test_what_became_of_a_telecommand_is_said_in_a_line_and_a_report_has_units():
     def words(stage, **more):
         return update_words(CommandUpdate("test", 1, "oven", stage, **more))
 
@@ -74,9 +74,6 @@ def test_what_became_of_a_telecommand_is_said_in_a_line():
     assert words("failed", **done) == "oven: not verified, sent 9 times: no verification came"
     refused = words("refused", done=True, reason="too many telecommands are open")
     assert refused == "oven: refused: too many telecommands are open"
-
-
-def test_a_report_has_units():
     report = Reported("housekeeping", "oven", 0, "state", "", {"temperature": 20.25, "lit": True})
     assert report_words(report, OVEN) == "oven state: temperature 20.25 degC, lit true"
 
@@ -90,16 +87,13 @@ def test_the_command_lists_what_there_is_and_refuses_the_rest(capsys):
     assert "choose one of joystick" in capsys.readouterr().err
 
 
-def test_a_message_of_k2aci_is_the_same_after_its_way_through_plain_fields():
+def test_a_message_of_k2aci_goes_through_plain_fields_and_other_fields_are_refused():
     for message in (
         TaskSelected(task="aiming", run=3, start_um=(-45_000, 10), text="Aim."),
         StartTask(task="aiming", run=3),
         Chat(sender=ChatRole.SUPERVISOR, text="Well done."),
     ):
         assert k2aci_message(type(message).__name__, plain_fields(message)) == message
-
-
-def test_other_fields_of_k2aci_are_refused_with_their_mend():
     for kind, fields, says in (
         ("Dance", {}, r"K2ACI 'Dance' is unknown: choose one of TaskSelected, StartTask"),
         ("StartTask", {"task": "a", "run": 1, "who": "x"}, "has no who: it has task, run"),

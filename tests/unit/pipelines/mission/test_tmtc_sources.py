@@ -104,6 +104,13 @@ def test_a_joystick_without_a_thermometer_is_reported_and_never_hot(space):
     assert {one.kind for one in told} == {"housekeeping"}
     assert "temperature" in told[0].values and "temperature" not in measured(told[0])
 
+    # A function that nobody carries out fails.
+    news = space.ask("joystick", "call", "test")
+    assert [one.function for one in news if isinstance(one, FunctionAsked)] == ["test"]
+    space.now_ns += 11 * S
+    (done,) = ended(space.news())
+    assert (done.ok, done.verified, done.reason) == (False, True, "nobody carried it out")
+
 
 def test_a_halt_is_an_event_and_its_telecommand_is_verified_with_the_joysticks_own_words(space):
     space.status()
@@ -114,14 +121,6 @@ def test_a_halt_is_an_event_and_its_telecommand_is_verified_with_the_joysticks_o
     assert (done.ok, done.reason) == (False, "resume: not in this state")
     assert events(space.status(JoystickState.HALTED)) == ["state_changed", "off_nominal"]
     assert events(space.status(JoystickState.CALIBRATED)) == ["state_changed"]
-
-
-def test_a_function_that_nobody_carries_out_fails(space):
-    news = space.ask("joystick", "call", "test")
-    assert [one.function for one in news if isinstance(one, FunctionAsked)] == ["test"]
-    space.now_ns = 11 * S
-    (done,) = ended(space.news())
-    assert (done.ok, done.verified, done.reason) == (False, True, "nobody carried it out")
 
 
 def test_a_functional_test_is_an_application_and_its_end_an_event(space):
@@ -141,7 +140,7 @@ def test_a_functional_test_is_an_application_and_its_end_an_event(space):
     assert values["application"] == "none"
 
 
-def test_signal_and_force_are_watched(ground, robot):
+def test_signal_and_force_are_watched_and_joints_are_housekeeping(ground, robot):
     space, heard = ground, []
     gateway = GatewaySource(space.end, "ground_gateway")
     for signal in (False, True, True, False):
@@ -153,6 +152,17 @@ def test_signal_and_force_are_watched(ground, robot):
         state = WorldState(space.now_ns, 0.01, -0.02, force_n, contact=True)
         robot.handle_state(state, space.now_ns)
     assert events(space.news()) == ["force_too_high"]
+    space = ground
+    space.ask("robot", "housekeeping_on", "joints")
+    space.now_ns += 11 * S
+    robot.handle_status(robot_status(joints=((0.05, 1.5), (-0.1, -0.5))), space.now_ns)
+    # Reports that are known at one instant go out one after the other.
+    space.now_ns += S
+    (report,) = [one for one in space.news() if getattr(one, "name", "") == "joints"]
+    wanted = {"joint_1_angle": 0.05, "joint_1_torque": 1.5}
+    wanted |= {"joint_2_angle": -0.1, "joint_2_torque": -0.5}
+    assert measured(report) == pytest.approx(wanted)
+    assert len(report.values) == 2 * MOST_JOINTS
 
 
 def test_what_the_functional_test_measured_is_an_event(space):
@@ -190,20 +200,6 @@ def test_the_dictionary_has_each_measure_of_the_functional_test_and_the_modes_of
 def robot_status(**changes):
     known = {"powered": True, "mode": ControlMode.TELEPRESENCE, "push_n": 0.0}
     return RobotStatus(life=1, x_m=0.0, y_m=0.0, **{**known, **changes})
-
-
-def test_joints_are_housekeeping_and_those_that_are_not_there_have_no_number(ground, robot):
-    space = ground
-    space.ask("robot", "housekeeping_on", "joints")
-    space.now_ns += 11 * S
-    robot.handle_status(robot_status(joints=((0.05, 1.5), (-0.1, -0.5))), space.now_ns)
-    # Reports that are known at one instant go out one after the other.
-    space.now_ns += S
-    (report,) = [one for one in space.news() if getattr(one, "name", "") == "joints"]
-    wanted = {"joint_1_angle": 0.05, "joint_1_torque": 1.5}
-    wanted |= {"joint_2_angle": -0.1, "joint_2_torque": -0.5}
-    assert measured(report) == pytest.approx(wanted)
-    assert len(report.values) == 2 * MOST_JOINTS
 
 
 def test_the_robot_answers_its_functions_and_a_fault_is_an_event(ground, robot):

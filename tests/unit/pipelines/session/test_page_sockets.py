@@ -56,7 +56,7 @@ def test_both_pages_have_the_same_two_tokens():
         listener.close()
 
 
-def test_a_browser_may_ask_only_for_names_of_the_bound_address():
+def test_a_browser_may_ask_only_for_names_of_the_bound_address_and_loopback_needs_no_tls():
     assert LOOPBACK.names() == ("127.0.0.1", "localhost")
     for host, address, names in (
         ("Lab.Example", "192.0.2.7", ("lab.example", "192.0.2.7")),
@@ -68,9 +68,6 @@ def test_a_browser_may_ask_only_for_names_of_the_bound_address():
     every = page_sockets.PageHost(host="0.0.0.0", address="0.0.0.0").names()
     assert {"127.0.0.1", "localhost", socket.gethostname().lower()} <= set(every)
     assert "0.0.0.0" not in every
-
-
-def test_only_loopback_needs_no_tls():
     places = ("127.0.0.1", "127.3.2.1", "::1", "0.0.0.0", "192.0.2.7")
     found = [page_sockets.PageHost(host=at, address=at).is_loopback for at in places]
     assert found == [True, True, True, False, False]

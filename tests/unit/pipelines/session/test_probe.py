@@ -37,15 +37,12 @@ def test_counters_are_repeated_and_rows_and_orders_are_sent_once():
     assert rows == [(RxRow, "", [RxRow(2, 4), RxRow(3, 5)])]
 
 
-def test_a_column_has_one_value_a_row():
+def test_a_column_has_one_value_a_row_and_a_probe_is_due_twice_a_second():
     lateness = Series(LatenessRow)
     lateness.extend_column([3, 4])
     assert lateness.rows() == [LatenessRow(3), LatenessRow(4)]
     with pytest.raises(ValueError, match="2 values"):
         Series(RxRow).extend_column([3])
-
-
-def test_it_is_due_twice_a_second():
     probe = Probe()
     assert probe.due(0)
     probe.handle_told(0, told=True)

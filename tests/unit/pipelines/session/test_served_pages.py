@@ -53,20 +53,14 @@ def test_one_address_is_printed_and_all_are_kept_for_the_user_alone(capsys, root
     assert capsys.readouterr() == ("", "")
 
 
-def test_beyond_loopback_a_certificate_is_made_and_its_fingerprint_shown(capsys, root):
+def test_beyond_loopback_a_certificate_is_made_and_without_a_browser_there_is_one_line(
+    capsys, root, monkeypatch
+):
     with announced("--page", "0.0.0.0:8270") as pages:
         assert pages["page_space"].url("space").startswith("https://")
         assert pages["page_space"].certificate == root / "page.pem"
     assert "SHA-256 " in capsys.readouterr().out
 
-
-def test_without_pages_nothing_is_bound_or_said(capsys, root):
-    with announced("--no-page") as pages:
-        assert not pages
-    assert capsys.readouterr().out == "" and list(root.iterdir()) == []
-
-
-def test_without_a_browser_there_is_one_line(capsys, monkeypatch, root):
     def none(*_):
         raise webbrowser.Error
 
@@ -75,6 +69,12 @@ def test_without_a_browser_there_is_one_line(capsys, monkeypatch, root):
         pass
     (line,) = capsys.readouterr().err.splitlines()
     assert "no browser" in line
+
+
+def test_without_pages_nothing_is_bound_or_said(capsys, root):
+    with announced("--no-page") as pages:
+        assert not pages
+    assert capsys.readouterr().out == "" and list(root.iterdir()) == []
 
 
 @pytest.mark.rule("10")

@@ -44,7 +44,7 @@ def failing(error):
     }
 
 
-def test_it_ticks_until_the_process_shall_stop_and_then_cancels_its_tasks():
+def test_it_ticks_until_the_process_shall_stop_whatever_faults_its_peers_have():
     ended = []
 
     async def wait():
@@ -56,6 +56,7 @@ def test_it_ticks_until_the_process_shall_stop_and_then_cancels_its_tasks():
     instants = run(lambda serving: serving.begin(wait()))
     assert len(instants) == 3 and instants == sorted(instants)
     assert ended == [True]
+    assert len(run(failing(ConnectionResetError())["callback"])) == 3
 
 
 @pytest.mark.rule("7")
@@ -63,7 +64,3 @@ def test_it_ticks_until_the_process_shall_stop_and_then_cancels_its_tasks():
 def test_a_mistake_of_its_own_ends_it(where):
     with pytest.raises(ValueError, match="a bug"):
         run(failing(ValueError("a bug"))[where], ticks=100)
-
-
-def test_no_fault_of_a_peer_or_its_network_ends_it():
-    assert len(run(failing(ConnectionResetError())["callback"])) == 3

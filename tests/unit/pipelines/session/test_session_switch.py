@@ -114,20 +114,9 @@ def test_the_pause_doubles_up_to_a_second_while_lives_are_short(stage, lives_s, 
     found = pauses_ns(lives(policy, lives_s))
     assert found == [pause * NS_PER_MS for pause in pauses_ms]
 
-
-@pytest.mark.parametrize("life_s", [0, 0.3, 60])
-def test_no_second_holds_packets_of_two_lives_of_a_sender(life_s):
-    # The last packet of a life leaves at its end, the first of the next at its start.
-    assert min(pauses_ns(lives(RestartPolicy(Stage.SENDER), [life_s] * 8))) > NS_PER_S
-
-
-@pytest.mark.parametrize(("stage", "rest_ns"), [(Stage.SOURCE, 0), (Stage.SENDER, SENDER_REST_NS)])
-def test_after_a_stop_on_request_only_a_sender_rests(stage, rest_ns):
-    policy = RestartPolicy(stage)
-    lives(policy, [0, 0])
-    policy.handle_start(7)
-    policy.handle_stop(8)
-    assert policy.poll_timeout() == 8 + rest_ns
+    # No second holds packets of two lives of a sender: its next life begins a second later.
+    for life_s in (0, 0.3, 60):
+        assert min(pauses_ns(lives(RestartPolicy(Stage.SENDER), [life_s] * 8))) > NS_PER_S
 
 
 def test_a_stopped_process_stays_stopped_until_it_is_started():
@@ -147,3 +136,11 @@ def test_a_stopped_process_stays_stopped_until_it_is_started():
     policy.handle_end(9 + SENDER_REST_NS)
     policy.handle_wanted(False, 10 + SENDER_REST_NS)
     assert policy.poll_timeout() is None
+
+    # After a stop on request only a sender rests.
+    for stage, rest_ns in ((Stage.SOURCE, 0), (Stage.SENDER, SENDER_REST_NS)):
+        policy = RestartPolicy(stage)
+        lives(policy, [0, 0])
+        policy.handle_start(7)
+        policy.handle_stop(8)
+        assert policy.poll_timeout() == 8 + rest_ns

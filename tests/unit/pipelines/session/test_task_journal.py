@@ -18,15 +18,9 @@ def begin(journal, run):
 
 
 def end(journal, run, result=TaskResult.FINISHED):
-    ended = TaskRun(
-        task="line",
-        run=run,
-        result=result,
-        reason="",
-        selected_ns=run * 100,
-        started_ns=run * 100,
-        ended_ns=run * 100 + 50,
-    )
+    began_ns = run * 100
+    instants = {"selected_ns": began_ns, "started_ns": began_ns, "ended_ns": began_ns + 50}
+    ended = TaskRun(task="line", run=run, result=result, reason="", **instants)
     journal.handle_event(ended, LINK)
 
 
@@ -34,7 +28,7 @@ def told_of(journal):
     return TaskFigures(runs={row.run: row for row in journal.newest(KEPT)})
 
 
-def test_a_row_has_the_step_that_comes_after_its_end():
+def test_a_row_has_the_step_after_its_end_and_those_that_a_killed_process_told():
     journal = TaskJournal()
     begin(journal, 1)
     assert [row.result for row in journal.report()] == [OPEN]
@@ -43,6 +37,11 @@ def test_a_row_has_the_step_that_comes_after_its_end():
     (row,) = journal.report()
     assert [one.step for one in row.steps] == [step.value for step in RunStep]
     assert TaskJournal(journal.closed).report() == [row]
+    before, after = TaskJournal(), TaskJournal()
+    begin(before, 1)
+    end(after, 1, TaskResult.ABORTED)
+    (row,) = plus(told_of(before), told_of(after)).runs.values()
+    assert row.result == "aborted" and len(row.steps) == len(RunStep) - 1
 
 
 def test_what_is_told_and_kept_does_not_grow_and_the_collector_has_all():
@@ -57,11 +56,3 @@ def test_what_is_told_and_kept_does_not_grow_and_the_collector_has_all():
     assert [row.run for row in told.runs.values()] == list(range(1, 200))
     assert {row.result for row in told.runs.values()} == {"finished"}
     assert len(journal.closed) == KEPT and max(sizes) < 60_000
-
-
-def test_a_run_that_a_killed_process_did_keeps_the_steps_that_were_told():
-    before, after = TaskJournal(), TaskJournal()
-    begin(before, 1)
-    end(after, 1, TaskResult.ABORTED)
-    (row,) = plus(told_of(before), told_of(after)).runs.values()
-    assert row.result == "aborted" and len(row.steps) == len(RunStep) - 1

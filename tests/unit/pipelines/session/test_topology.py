@@ -10,7 +10,7 @@ import pytest
 from pipelines.recording.channels import sources_of
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS, RtcLeg, Setup
-from pipelines.session.topology import PAGES, TASKS, Direction, Kind, Segment, Topology, VideoRow
+from pipelines.session.topology import PAGES, TASKS, Kind, Segment, Topology, VideoRow
 from pipelines.table import topology_of
 
 WHOLE = BUILT_IN["spacejustin"]
@@ -43,7 +43,7 @@ def session(request) -> Topology:
     return topology_of(setup, snapshots=True, pages=True, tasks=tasks)
 
 
-def test_names_and_ports_are_unique_and_ports_within_the_session(session):
+def test_names_and_ports_are_unique_and_every_function_takes_its_arguments(session):
     for rows in (session.processes, session.streams, session.topics, session.inputs):
         assert max(Counter(row.name for row in rows).values()) == 1
     ports = [port for row in session.processes for port in session.ports_of(row.name)]
@@ -51,6 +51,8 @@ def test_names_and_ports_are_unique_and_ports_within_the_session(session):
     assert max(Counter(ports).values()) == 1
     base = session.setup.base_port
     assert set(ports) <= set(range(base, base + PORTS))
+    for row in session.processes:
+        inspect.signature(resolve_name(row.run)).bind(None, **row.arguments)
 
 
 def test_every_topic_that_is_read_has_a_writer_in_some_session():
@@ -92,11 +94,6 @@ def test_every_stream_runs_from_a_sender_to_a_receiver_in_the_other_segment(sess
         assert row.exit_port in session.ports_of(receiver.name)
 
 
-def test_every_function_exists_and_takes_its_arguments(session):
-    for row in session.processes:
-        inspect.signature(resolve_name(row.run)).bind(None, **row.arguments)
-
-
 def test_a_media_stream_leads_to_its_other_rows_and_consumers_start_before_producers(session):
     order = [row.name for row in session.processes]
     for row in session.media_streams:
@@ -113,34 +110,7 @@ def test_a_media_stream_leads_to_its_other_rows_and_consumers_start_before_produ
         assert session.topic(row.received_topic).readers[0] == row.display
 
 
-def test_lookups_find_what_belongs_together():
-    # The streams' own ports are those of the documents: topology/test_tables.py.
-    assert [link.port for link in SPACEJUSTIN.links] == [27001, 27000]
-    assert SPACEJUSTIN.launcher_port == 27006
-    assert SPACEJUSTIN.media("uplink_video").sender == "uplink_video_send"
-    assert SPACEJUSTIN.media("downlink_voice").receiver == "downlink_voice_receive"
-    assert SPACEJUSTIN.gateway(Segment.SPACE).name == "space_gateway"
-    assert SPACEJUSTIN.input("head").process == "camera_head"
-    assert SPACEJUSTIN.input("iss_camera").process == "iss_camera"
-    assert SPACEJUSTIN.camera("stereo").inputs == ("left", "right")
-    assert SPACEJUSTIN.haptic("up").direction is Direction.UPLINK
-    # The robot is on the ground and the joystick in space.
-    assert SPACEJUSTIN.haptic("up").sender == "robot"
-    assert SPACEJUSTIN.haptic("down").sender == "joystick"
-    assert SPACEJUSTIN.shown_with("downlink_voice").name == "downlink_video"
-    assert topology_of(replace(WHOLE, downlink_video=None)).shown_with("downlink_voice") is None
-    with pytest.raises(KeyError):
-        SPACEJUSTIN.media("telemetry")
-
-
-def test_each_segment_can_be_started_alone():
-    parts = [replace(SPACEJUSTIN, segments=(one,)).processes_here for one in Segment]
-    names = [{row.name for row in rows} for rows in parts]
-    assert names[0] & names[1] == {"snapshots"}
-    assert names[0] | names[1] == {row.name for row in SPACEJUSTIN.processes}
-
-
-def test_pages_are_asked_for_and_read_only_what_their_segment_has():
+def test_each_segment_can_be_started_alone_and_its_pages_read_only_what_it_has():
     assert set(PAGES.values()) <= {row.name for row in SPACEJUSTIN.processes}
     assert not set(PAGES.values()) & {row.name for row in topology_of(WHOLE).processes}
     for segment, name in PAGES.items():
@@ -155,6 +125,15 @@ def test_pages_are_asked_for_and_read_only_what_their_segment_has():
         assert topic.readers == (row.process,)
         assert row.page_topic in SPACEJUSTIN.reads(row.process)
         assert row.page_topic not in topology_of(WHOLE).reads(row.process)
+    parts = [replace(SPACEJUSTIN, segments=(one,)).processes_here for one in Segment]
+    names = [{row.name for row in rows} for rows in parts]
+    assert names[0] & names[1] == {"snapshots"}
+    assert names[0] | names[1] == {row.name for row in SPACEJUSTIN.processes}
+
+    assert SPACEJUSTIN.shown_with("downlink_voice").name == "downlink_video"
+    assert topology_of(replace(WHOLE, downlink_video=None)).shown_with("downlink_voice") is None
+    with pytest.raises(KeyError):
+        SPACEJUSTIN.media("telemetry")
 
 
 @pytest.mark.parametrize("segment", Segment, ids=lambda segment: segment.value)

@@ -71,15 +71,12 @@ def test_what_cannot_be_is_refused_and_changes_nothing(request_, says):
     assert trainer.exercises is before
 
 
-def test_what_is_at_the_other_end_is_asked_for_there():
+def test_what_is_at_the_other_end_is_asked_for_there_and_what_lasts_is_published_again():
     ground = trainer_of(here=False, cameras=("head",))
     assert "at the ground's end" in ask(ground, "task-failed")["text"]
     for exercise in ("los", "joystick-error", "robot-fault"):
         assert "ask there" in ask(ground, exercise)["text"]
     assert ask(ground, "camera-lost", camera="head")["ok"]
-
-
-def test_what_lasts_is_published_again_for_a_process_that_began_since():
     trainer = trainer_of()
     trainer.poll_exercises(0)
     ask(trainer, "robot-fault", 20)
@@ -90,13 +87,13 @@ def test_what_lasts_is_published_again_for_a_process_that_began_since():
     assert again == [1 + S, 1 + 2 * S]
 
 
-@pytest.mark.parametrize("line", [b"\n", b"[[[[\n", b'{"exercise": 7}\n', b"x" * 9000, b""])
-def test_garbage_and_too_many_terminals_close_the_connection(line):
+def test_garbage_and_too_many_terminals_close_the_connection():
     desk = trainer_of().desk
-    desk.handle_terminal(1)
-    desk.handle_octets(1, line, 0)
-    assert desk.next_event() == (1, b"", True)
-    assert desk.asking == []
+    for line in (b"\n", b"[[[[\n", b'{"exercise": 7}\n', b"x" * 9000, b""):
+        desk.handle_terminal(1)
+        desk.handle_octets(1, line, 0)
+        assert desk.next_event() == (1, b"", True)
+        assert desk.asking == []
     for terminal in range(MOST_TERMINALS):
         desk.handle_terminal(terminal)
     desk.handle_terminal(99)

@@ -36,7 +36,7 @@ def test_the_built_in_setups_fit_their_channels(setup):
     assert setup.base_port + PORTS <= 32_768
 
 
-def test_the_caps_equal_the_specification():
+def test_caps_packets_and_the_capacity_for_walls_are_those_of_the_specification():
     caps = {name: {s.name: s.cap_bps for s in setup.streams} for name, setup in BUILT_IN.items()}
     assert caps["taskboard"] == {"uplink_video": 90_000}
     assert caps["spacejustin"] == {
@@ -45,9 +45,6 @@ def test_the_caps_equal_the_specification():
         "downlink_video": 512_000,
         "downlink_voice": 64_000,
     }
-
-
-def test_a_large_picture_takes_several_packets():
     spacejustin = BUILT_IN["spacejustin"]
     assert spacejustin.uplink_video.packets_per_s == 30
     assert spacejustin.downlink_video.packets_per_s == 90
@@ -55,6 +52,15 @@ def test_a_large_picture_takes_several_packets():
     assert seldom.packets_per_s == 11
     # At this low cap a packet of 1000 octets does not fit into 100 ms.
     assert replace(seldom, cap_bps=20_000).payload_octets == 375
+    direct = load_setup("spacejustin")
+    mediated = load_setup("spacejustin", changes={"hand": "mediated"})
+    # Two a second of 16 octets, with tag and resume tag.
+    assert direct.need(UP).spare_bps - mediated.need(UP).spare_bps == 8 * 2 * (16 + 1 + 1)
+    assert mediated.need(DOWN) == direct.need(DOWN)
+    setup = own_setup(cameras=("a_mic",), sources={"a_mic": "clip.mp4"})
+    assert setup.kind_of("a_mic") == "video"
+    with pytest.raises(ConfigError, match="no input iss_mic"):
+        setup.kind_of("iss_mic")
 
 
 def pus_octets_per_s(end):
@@ -110,13 +116,6 @@ def test_a_setup_cannot_be_changed_or_misused(changes, says):
         own_setup().base_port = 1
 
 
-def test_the_name_of_a_camera_does_not_make_it_a_microphone():
-    setup = own_setup(cameras=("a_mic",), sources={"a_mic": "clip.mp4"})
-    assert setup.kind_of("a_mic") == "video"
-    with pytest.raises(ConfigError, match="no input iss_mic"):
-        setup.kind_of("iss_mic")
-
-
 def test_a_radio_is_a_profile_or_a_cable_with_a_delay(tmp_path):
     file = tmp_path / "storm.toml"
     file.write_text("delay_ms = 40\nframe_loss = 0.1\n")
@@ -128,11 +127,3 @@ def test_a_radio_is_a_profile_or_a_cable_with_a_delay(tmp_path):
     for profile, direction in ((setup.uplink, "uplink"), (setup.downlink, "downlink")):
         report = setup.radio_path(profile, seed=3, epoch_ns=5).report()
         assert report.channel.direction == direction
-
-
-def test_a_mediated_hand_keeps_uplink_capacity_for_its_walls():
-    direct = load_setup("spacejustin")
-    mediated = load_setup("spacejustin", changes={"hand": "mediated"})
-    # Two a second of 16 octets, with tag and resume tag.
-    assert direct.need(UP).spare_bps - mediated.need(UP).spare_bps == 8 * 2 * (16 + 1 + 1)
-    assert mediated.need(DOWN) == direct.need(DOWN)

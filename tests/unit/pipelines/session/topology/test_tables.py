@@ -42,7 +42,7 @@ def test_tables_fit_the_width_and_cut_nothing(width):
     assert "camera_left, camera_right, camera_static, camera_head, ground_mic, iss_camera" in words
 
 
-def test_the_graph_is_well_formed_and_joins_known_processes():
+def test_the_graph_is_well_formed_and_every_arrow_points_at_what_takes():
     text = dot(SESSION)
     assert text.count("{") == text.count("}") == 3
     assert text.startswith('digraph "spacejustin" {\n') and text.endswith("}\n")
@@ -56,9 +56,6 @@ def test_the_graph_is_well_formed_and_joins_known_processes():
         assert match, line
         joined |= set(match.groups()[:2])
     assert joined == known
-
-
-def test_every_arrow_of_the_graph_points_at_what_takes():
     arrows = {
         (match[2], match[1]) if match[4] else (match[1], match[2])
         for match in EDGE.finditer(dot(SESSION))
@@ -72,15 +69,6 @@ def test_every_arrow_of_the_graph_points_at_what_takes():
         assert (link.sender, link.receiver) in arrows
         if row.sender is not None:
             assert {(row.sender, link.sender), (link.receiver, row.receiver)} <= arrows
-
-
-def test_the_command_prints_tables_or_a_graph(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    assert main(["topology", "--setup", "taskboard"]) == 0
-    told = capsys.readouterr().out
-    assert "uplink_video_send" in told and "robot/state" in told and "downlink_voice" not in told
-    assert main(["topology", "--setup", "taskboard", "--dot", "--base-port", "28000"]) == 0
-    assert capsys.readouterr().out.startswith("digraph")
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -100,7 +88,9 @@ def test_every_channel_of_a_setup_has_a_line_with_its_documented_ports(name):
     assert documented == known
 
 
-def test_one_end_shows_and_binds_its_own_ports_only():
+def test_one_end_shows_its_own_ports_only_and_the_command_prints_tables_or_a_graph(
+    capsys, monkeypatch
+):
     lines = ports_table(SESSION, [Segment.GROUND], "198.51.100.1", "198.51.100.2").lines(200)
     video = next(line for line in lines if line.startswith("uplink_video "))
     assert "198.51.100.1:27010" in video and "the other end" in video
@@ -111,3 +101,9 @@ def test_one_end_shows_and_binds_its_own_ports_only():
     for end, bound in zip(Segment, both, strict=True):
         shown = {row.entry_port for row in SESSION.streams if row.direction.sender is end}
         assert len(bound - shown) == 1  # the radio's
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["topology", "--setup", "taskboard"]) == 0
+    told = capsys.readouterr().out
+    assert "uplink_video_send" in told and "robot/state" in told and "downlink_voice" not in told
+    assert main(["topology", "--setup", "taskboard", "--dot", "--base-port", "28000"]) == 0
+    assert capsys.readouterr().out.startswith("digraph")
