@@ -7,11 +7,11 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from common import eventually
 
 from benchmarks.__main__ import main as benchmark
 from pipelines.cli import main
@@ -63,14 +63,6 @@ class Processes:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-
-
-def eventually(found, patience_s=60.0):
-    until_s = time.monotonic() + patience_s
-    while not (value := found()):
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
-    return value
 
 
 @pytest.fixture(scope="module")
@@ -134,16 +126,15 @@ def refused(address, capfd, tmp_path):
     return error
 
 
-def test_a_worker_of_another_version_is_refused(processes, tmp_path, capfd, monkeypatch):
+def test_workers_and_schedulers_of_another_version_are_refused(
+    processes, tmp_path, capfd, monkeypatch
+):
     monkeypatch.setattr(sessions, "code_digest", lambda: "newer")
     told = ", and this machine newer: install the same"
     assert told in refused(processes.address, capfd, tmp_path)
     # One that comes after the first look refuses its first run.
     monkeypatch.setattr(Cluster, "_check_workers", lambda _: None)
     assert told in refused(processes.address, capfd, tmp_path)
-
-
-def test_a_scheduler_of_another_version_is_refused(processes, tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(sessions, "version", lambda name: "1.0")
     error = refused(processes.address, capfd, tmp_path)
     assert "the scheduler has distributed " in error

@@ -121,14 +121,6 @@ def test_the_hand_reaches_its_workspace_and_touches_the_rail():
     assert 0.03 < right.y_m < 0.04
 
 
-def test_both_hands_feel_a_handshake_with_the_same_force():
-    right, left = Bench().lead(2.0, right=(0.0, 0.0), left=(0.03, 0.0))
-    assert right.contact and left.contact
-    assert hypot(right.x_m - left.x_m, right.y_m - left.y_m) < 0.02
-    assert right.push_x_n > 3.0
-    assert left.push_x_n == pytest.approx(-right.push_x_n, abs=0.1)
-
-
 def test_hands_that_meet_fast_break_no_limit_of_force():
     bench, most_n = Bench(), 0.0
     for passed_ms in range(1, 601):
@@ -138,21 +130,6 @@ def test_hands_that_meet_fast_break_no_limit_of_force():
         )
         most_n = max(most_n, *(hypot(one.push_x_n, one.push_y_n) for one in readings))
     assert 10.0 < most_n < SpaceJustin.facts.force_limit_n
-
-
-def test_the_ball_goes_from_the_right_hand_to_the_left_one():
-    bench = Bench()
-    bench.lead(1.0, right=(0.1, 0.0))
-    bench.lead(1.0, right=(0.1, -0.095))
-    right, left = bench.lead(1.5, right=(0.0, -0.095))
-    assert right.holds and not left.holds
-    right, left = bench.lead(1.5, right=(0.03, 0.0))
-    # It carries the ball's weight.
-    assert right.holds and right.push_y_n == pytest.approx(-0.08 * 9.81, abs=0.2)
-    right, left = bench.lead(2.0, right=(0.0, 0.0), left=(0.0, 0.0))
-    assert left.holds and not right.holds
-    right, left = bench.lead(1.5, right=(0.1, 0.0), left=(-0.1, 0.0))
-    assert left.holds and left.push_y_n == pytest.approx(-0.08 * 9.81, abs=0.2)
 
 
 def test_an_arm_whose_driver_is_silent_brakes():
@@ -165,43 +142,57 @@ def test_an_arm_whose_driver_is_silent_brakes():
     assert abs(bench.read("right").vx_m_s) < 0.001
 
 
-def done(elemops, *legs):
-    """Lead both hands while the kernel executes these Elemops; return its end and the scores."""
-    catalogue = built_in_tasks()
-    kernel, keeper, bench = TopKernel(), ScoreKeeper(), Bench()
-    steps = tuple(catalogue.elemops[name] for name in elemops)
+def held(kernel, bench, keeper, seconds, **places):
+    """Lead both hands there while the kernel executes its Elemops; return the readings."""
+    for _ in range(round(seconds * 1e9 / TICK_NS)):
+        right, left = bench.lead(TICK_NS / 1e9, **places)
+        push_n, other_n = (hypot(one.push_x_n, one.push_y_n) for one in (right, left))
+        keeper.handle_robot(right.x_m, right.y_m, push_n, kernel.elemop, DARK, other_n)
+        other = OtherHand(x_m=left.x_m, y_m=left.y_m, push_n=other_n, holds=left.holds)
+        view = View(x_m=right.x_m, y_m=right.y_m, push_n=push_n, holds=right.holds, other=other)
+        kernel.handle_view(view, bench.now_ns)
+    return right, left
+
+
+def both(*elemops):
+    """Return a kernel that executes these Elemops, and what is at both hands."""
+    kernel, bench = TopKernel(), Bench()
+    steps = tuple(built_in_tasks().elemops[name] for name in elemops)
     kernel.start(Operation("both", steps), bench.now_ns)
-    for seconds, places in legs:
-        for _ in range(round(seconds * 1e9 / TICK_NS)):
-            right, left = bench.lead(TICK_NS / 1e9, **places)
-            push_n, other_n = (hypot(one.push_x_n, one.push_y_n) for one in (right, left))
-            keeper.handle_robot(right.x_m, right.y_m, push_n, kernel.elemop, DARK, other_n)
-            other = OtherHand(x_m=left.x_m, y_m=left.y_m, push_n=other_n, holds=left.holds)
-            view = View(x_m=right.x_m, y_m=right.y_m, push_n=push_n, holds=right.holds, other=other)
-            kernel.handle_view(view, bench.now_ns)
-    ends = []
-    while (event := kernel.next_event()) is not None:
-        ends += [event] if isinstance(event, OperationEnded) else []
-    return ends, keeper.report()
+    return kernel, bench, ScoreKeeper()
 
 
-def test_a_handshake_is_finished_by_both_hands_and_each_ones_force_is_scored():
-    apart = {"right": (0.0, 0.0), "left": (-0.1, 0.0)}
-    ends, _ = done(["meetHands"], (2.0, apart))
-    assert not ends
-    (end,), scores = done(["meetHands"], (1.0, apart), (2.0, {"left": (0.03, 0.0)}))
-    assert end.result is TaskResult.FINISHED
+def results(kernel):
+    news = iter(kernel.next_event, None)
+    return [event.result for event in news if isinstance(event, OperationEnded)]
+
+
+def test_both_hands_feel_a_handshake_with_the_same_force_and_finish_its_task():
+    kernel, _, keeper = table = both("meetHands")
+    held(*table, 2.0, right=(0.0, 0.0), left=(-0.1, 0.0))
+    assert not results(kernel)
+    right, left = held(*table, 2.0, left=(0.03, 0.0))
+    assert right.contact and left.contact
+    assert hypot(right.x_m - left.x_m, right.y_m - left.y_m) < 0.02
+    assert right.push_x_n > 3.0
+    assert left.push_x_n == pytest.approx(-right.push_x_n, abs=0.1)
+    assert results(kernel) == [TaskResult.FINISHED]
+    scores = keeper.report()
     assert scores.force_max_n > 3.0
     assert scores.other_force_max_n == pytest.approx(scores.force_max_n, abs=0.5)
 
 
-def test_the_task_of_the_ball_is_finished_by_both_hands():
-    (end,), _ = done(
-        ["takeBall", "passBall"],
-        (1.0, {"right": (0.1, 0.0)}),
-        (1.0, {"right": (0.1, -0.095)}),
-        (1.5, {"right": (0.0, -0.095)}),
-        (1.5, {"right": (0.03, 0.0)}),
-        (2.5, {"right": (0.0, 0.0), "left": (0.0, 0.0)}),
-    )
-    assert end.result is TaskResult.FINISHED
+def test_the_ball_goes_from_the_right_hand_to_the_left_one():
+    kernel, *_ = table = both("takeBall", "passBall")
+    held(*table, 1.0, right=(0.1, 0.0))
+    held(*table, 1.0, right=(0.1, -0.095))
+    right, left = held(*table, 1.5, right=(0.0, -0.095))
+    assert right.holds and not left.holds
+    right, left = held(*table, 1.5, right=(0.03, 0.0))
+    # It carries the ball's weight.
+    assert right.holds and right.push_y_n == pytest.approx(-0.08 * 9.81, abs=0.2)
+    right, left = held(*table, 2.5, right=(0.0, 0.0), left=(0.0, 0.0))
+    assert left.holds and not right.holds
+    assert results(kernel) == [TaskResult.FINISHED]
+    _, left = held(*table, 1.5, right=(0.1, 0.0), left=(-0.1, 0.0))
+    assert left.holds and left.push_y_n == pytest.approx(-0.08 * 9.81, abs=0.2)

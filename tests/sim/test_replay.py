@@ -19,21 +19,20 @@ def recording(tmp_path_factory):
 @pytest.fixture(scope="module")
 def replayed(recording):
     """Replay with these options, and return the report as octets."""
-    (path,) = recording.paths
-
-    def run(*words):
-        out = path.with_name("report.json")
-        out.unlink(missing_ok=True)
-        words = ["simulate", "--replay", str(path), "--report", str(out), "-q", *map(str, words)]
-        assert main(words) == 0
-        return out.read_bytes()
-
-    return run
+    return lambda *words: replay(recording.paths[0], *words)
 
 
 @pytest.fixture(scope="module")
 def same(replayed):
     return replayed()
+
+
+def replay(path, *words):
+    out = path.with_name("report.json")
+    out.unlink(missing_ok=True)
+    words = ["simulate", "--replay", str(path), "--report", str(out), "-q", *map(str, words)]
+    assert main(words) == 0
+    return out.read_bytes()
 
 
 def parsed(octets):
@@ -74,11 +73,9 @@ def test_delay_of_another_link_shows_and_nothing_else(replayed, same, tmp_path):
     radio.write_text("delay_ms = 250\n")
     here, there = parsed(same), parsed(replayed("--radio", radio))
     assert there.simulation.radio == "far"
-    slower_ms = (
-        there.streams["uplink_video"].latency_ms.p50 - here.streams["uplink_video"].latency_ms.p50
-    )
+    now, then = (report.streams["uplink_video"].latency_ms.p50 for report in (there, here))
     # As fine as a histogram keeps it.
-    assert 247 < slower_ms < 257
+    assert 247 < now - then < 257
     assert there.haptic["up"].latency_ms.max - here.haptic["up"].latency_ms.max == 250
     assert there.replay.streams["uplink_video"] == here.replay.streams["uplink_video"]
 
@@ -106,10 +103,8 @@ def test_pictures_coded_anew_fit_under_a_lower_cap(replayed, same, recording):
     # Held against the picture of the same instant: against its neighbour they reach 23 dB.
     assert stream.psnr_db_p5 > 26
     assert stream.psnr_db_mean > 33
-    assert (
-        report.streams["uplink_video"].display.frames_displayed
-        > len(recording.units["uplink_video"]) / 2
-    )
+    shown = report.streams["uplink_video"].display.frames_displayed
+    assert shown > len(recording.units["uplink_video"]) / 2
 
 
 @pytest.mark.parametrize(
@@ -132,24 +127,16 @@ def test_what_cannot_be_replayed_is_refused_in_one_line(recording, capsys, words
 def test_all_parts_of_a_recording_are_sent(tmp_path, capsys):
     recording = write_recording(tmp_path / "a.mcap", seconds=SECONDS, parts=3)
     first = recording.paths[0]
-    out = tmp_path / "report.json"
-    words = ["simulate", "--replay", str(first), "--report", str(out), "-q"]
-    assert main(words) == 0
-    stream = parsed(out.read_bytes()).replay.streams["uplink_video"]
+    stream = parsed(replay(first)).replay.streams["uplink_video"]
     assert stream.units_recorded == stream.pictures_same == len(recording.units["uplink_video"])
-    assert main([*words, "--recode"]) == 2
+    assert main(["simulate", "--replay", str(first), "--recode"]) == 2
     assert "has 3: `kontur-av replay --recode` takes them all" in capsys.readouterr().err
 
 
 def test_a_file_that_is_no_recording_is_refused(tmp_path, capsys):
-    path = tmp_path / "a.mcap"
-    for octets, told in (
-        (b"no recording at all", "it is not an MCAP file"),
-        (None, "No such file"),
-    ):
-        if octets is not None:
-            path.write_bytes(octets)
-        assert main(["simulate", "--replay", str(path if octets else tmp_path / "b")]) == 2
+    (tmp_path / "a.mcap").write_bytes(b"no recording at all")
+    for name, told in (("a.mcap", "it is not an MCAP file"), ("b", "No such file")):
+        assert main(["simulate", "--replay", str(tmp_path / name)]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert told in line
     assert main(["simulate", "--setup", "spacejustin"]) == 2

@@ -138,18 +138,14 @@ def test_what_both_ends_know_together_is_what_one_machine_would_have_known(sessi
         assert found.sender.frames_sent == stream.sender.frames_sent
     for key, row in whole.haptic.items():
         found = joined.haptic[key]
-        assert (found.sender.sent, found.receiver.received) == (
-            row.sender.sent,
-            row.receiver.received,
-        )
-        assert found.side is None
+        assert found.sender.sent == row.sender.sent and found.side is None
+        assert found.receiver.received == row.receiver.received
         assert found.latency_ms == row.latency_ms
     assert joined.link == whole.link
     for name, skew in whole.skew_ms.items():
         assert joined.skew_ms[name].p50 == pytest.approx(skew.p50, abs=0.2), name
-    assert joined.video_lead.lead_ms.total == pytest.approx(
-        whole.video_lead.lead_ms.total, rel=0.02
-    )
+    lead_ms = whole.video_lead.lead_ms.total
+    assert joined.video_lead.lead_ms.total == pytest.approx(lead_ms, rel=0.02)
     assert joined.sync.events == whole.sync.events > 0
     for sense, figures in whole.sync.senses.items():
         assert joined.sync.senses[sense].latency_ms == figures.latency_ms, sense
@@ -183,6 +179,9 @@ def test_the_command_writes_a_report_that_reads_like_any(ends, tmp_path, capsys)
     assert written.streams["uplink_video"].latency_ms.count > 0
 
 
+OTHER = "name = 'x'\ncameras = ['head']\n[uplink_video]\ncap_kbps = 60\n"
+
+
 def changed(report, **trace):
     return msgspec.structs.replace(report, trace=msgspec.structs.replace(report.trace, **trace))
 
@@ -193,21 +192,11 @@ def changed(report, **trace):
         (lambda ground, space: (ground, ground), "both reports are of the end ground"),
         (lambda ground, space: (ground, msgspec.structs.replace(space, end=None)), "whole session"),
         (lambda ground, space: (ground, changed(space, lives=[99], peers=[98])), "never met"),
-        (
-            lambda ground, space: (ground, changed(space, setup="name = 'x'\ncameras = ['head']\n"
-                "[uplink_video]\ncap_kbps = 60\n")),
-            "different streams",
-        ),
-        (
-            lambda ground, space: (ground, changed(space, began_ns=1, ended_ns=2)),
-            "did not run at the same time",
-        ),
-        (
-            lambda ground, space: (changed(ground, series=[]), changed(space, series=[])),
-            "neither end knew",
-        ),
+        (lambda ground, space: (ground, changed(space, setup=OTHER)), "different streams"),
+        (lambda *ends: (ends[0], changed(ends[1], began_ns=1, ended_ns=2)), "not run at the same"),
+        (lambda *ends: [changed(end, series=[]) for end in ends], "neither end knew"),
     ],
-)  # fmt: skip
+)
 def test_reports_that_do_not_belong_together_are_refused_in_one_line(ends, change, words):
     with pytest.raises(ConfigError, match=words):
         join_reports(*change(*ends))

@@ -36,12 +36,9 @@ def test_no_name_and_no_number_is_cut(report, width):
         assert f" {stream.latency_ms.p50:.1f} " in line
 
 
-def test_the_first_line_names_setup_link_and_radio(report):
+def test_setup_link_and_radio_are_named_and_the_stages_of_the_uplink_picture_add_up(report):
     assert first_line(report, 80).startswith("spacejustin, 0.6 s   link ")
     assert first_line(report, 80).endswith("radio clean")
-
-
-def test_the_stages_of_the_uplink_picture_add_up(report):
     words = stages_line(report).split()
     total, *terms = [int(word.strip(":,")) for word in words if word[0].isdigit()]
     assert abs(total - sum(terms)) <= 4

@@ -5,11 +5,10 @@ import tempfile
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from struct import pack
-from zlib import compress, crc32
 
 import av
 import av.filter
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,7 +21,6 @@ from kontur_av.sources import check_spec, open_audio, open_video
 from kontur_av.sources.file import _TimeLine
 from kontur_av.sources.fit import Fitter
 from kontur_av.sources.source import RETRY_NS
-from telepresence.world.scenes import media_folder
 
 
 def write_video(path, *, size=(64, 48), fps=25, pictures=10, codec="libx264", first=40, form=""):
@@ -205,15 +203,7 @@ def test_broken_jpegs_are_left_out(tmp_path):
 
 
 def png(width, height):
-    """Return an empty black and white PNG picture."""
-
-    def chunk(name, data):
-        return pack(">I", len(data)) + name + data + pack(">I", crc32(name + data))
-
-    header = pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
-    rows = compress(bytes(1 + -(-width // 8)) * height)
-    parts = chunk(b"IHDR", header), chunk(b"IDAT", rows), chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+    return cv2.imencode(".png", np.zeros((height, width), np.uint8))[1].tobytes()
 
 
 def test_pictures_too_large_for_the_memory_are_left_out(tmp_path):
@@ -223,7 +213,7 @@ def test_pictures_too_large_for_the_memory_are_left_out(tmp_path):
         check_spec(str(still), "video")
     with av.open(str(film), "w") as container:
         stream = container.add_stream("png", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "monob"
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "gray"
         for k in range(10):
             packet = av.Packet(png(9000, 9000) if k == 5 else png(64, 48))
             packet.pts = packet.dts = 40 * k
@@ -251,12 +241,6 @@ def test_sound_comes_in_blocks_without_a_gap_where_it_loops(tmp_path):
     later = [source.read(NS_PER_S).stamp for _ in range(5)]
     assert later[0].capture_ns - stamps[-1].capture_ns > 4.9 * NS_PER_S
     assert gaps_ms(later) == [20] * 4
-
-
-def test_sound_of_another_rate_keeps_its_pitch_and_length():
-    source = audio(media_folder() / "speech_ground.flac")
-    heard = np.concatenate([source.read(NS_PER_S).samples for _ in range(200)])
-    assert np.abs(heard).max() > 8_000
 
 
 @pytest.mark.parametrize(
@@ -290,21 +274,8 @@ def test_refusals_name_the_mend_in_one_line(tmp_path, spec, kind, words):
     assert "\n" not in str(refusal.value)
 
 
-def change_tone(path, at, octets):
-    """Write a tone with these octets at this place of its header."""
-    write_tone(path)
-    whole = bytearray(path.read_bytes())
-    whole[at : at + len(octets)] = octets
-    path.write_bytes(whole)
-
-
 #: Places in the header of WAVE: format, channels, rate, and text of its LIST of comments.
 FORMAT_AT, CHANNELS_AT, RATE_AT, TEXT_AT = 20, 22, 24, 56
-
-
-def test_comments_in_any_charset_play(tmp_path):
-    change_tone(tmp_path / "tone.wav", TEXT_AT, "Grün".encode("latin-1"))
-    assert audio(tmp_path / "tone.wav").read(NS_PER_S) is not None
 
 
 @pytest.mark.parametrize(
@@ -314,12 +285,22 @@ def test_comments_in_any_charset_play(tmp_path):
         (RATE_AT, b"\x00\x00\x00\x40", "sound at 1073741824 Hz: resample it"),
         (RATE_AT, b"\x01\x00\x00\x00", "sound at 1 Hz: resample it"),
         (CHANNELS_AT, b"\x09", "sound of 9 channels that nothing places: mix them to mono"),
+        (TEXT_AT, "Grün".encode("latin-1"), ""),
     ],
 )
-def test_sound_that_cannot_be_played_is_refused(tmp_path, at, octets, words):
-    change_tone(tmp_path / "tone.wav", at, octets)
-    with pytest.raises(ConfigError, match=words):
-        check_spec(str(tmp_path / "tone.wav"), "audio")
+def test_sound_that_cannot_be_played_is_refused_and_comments_in_any_charset_play(
+    tmp_path, at, octets, words
+):
+    path = tmp_path / "tone.wav"
+    write_tone(path)
+    whole = bytearray(path.read_bytes())
+    whole[at : at + len(octets)] = octets
+    path.write_bytes(whole)
+    if words:
+        with pytest.raises(ConfigError, match=words):
+            check_spec(str(path), "audio")
+    else:
+        assert audio(path).read(NS_PER_S) is not None
 
 
 RATE_HZ = 48_000
@@ -399,17 +380,6 @@ def test_sound_and_pictures_of_a_loop_do_not_drift(late, early, pictures, sound_
         assert min(abs(s - video_s - loop * length_s) for s in shown) < 0.004
         if length_s - sound_s > 0.05:
             assert min(abs(s - audio_s - loop * length_s) for s in heard) < 0.004
-
-
-def test_a_pause_lasts_as_long_as_the_file_says(tmp_path):
-    times_s = [0, 0.04, 0.08, 14, 14.04, 14.08]
-    write_both(tmp_path / "pause.mkv", times_s, 0, 0.1)
-    shown = own_s(read_s(tmp_path / "pause.mkv", 28.2))
-    gaps = [b - a for a, b in pairwise(shown)]
-    assert gaps == pytest.approx(
-        [b - a for a, b in pairwise(times_s)] + [0.04] + gaps[6:], abs=1e-6
-    )
-    assert len([gap for gap in gaps if gap > 13]) == 2
 
 
 @settings(max_examples=8, deadline=None)

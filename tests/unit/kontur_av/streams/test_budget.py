@@ -80,39 +80,28 @@ def test_the_cap_holds_for_an_observer_whose_clock_jitters(script, seed):
         assert largest(seen, NS_PER_S) * 8 <= 85_000
 
 
-def test_packets_leave_exactly_when_due():
+@pytest.mark.rule("4")
+def test_packets_leave_exactly_when_due_and_the_queue_tells_its_depth_and_oldest_age():
     pacer = Pacer(cap_bps=80_000)
+    assert pacer.oldest_age_ns(7 * MS) == 0
     pacer.handle_access_unit([b"a" * 100, b"b" * 100], [100, 100], 0)
     assert pacer.poll_transmit(0) == b"a" * 100
     assert pacer.poll_transmit(0) is None
+    put(pacer, 50, at_ns=6 * MS)
+    assert (pacer.depth, pacer.backlog_octets) == (2, 150)
     assert pacer.poll_timeout() == 10 * MS
     assert pacer.poll_transmit(10 * MS - 1) is None
     assert pacer.oldest_age_ns(10 * MS - 1) == 10 * MS - 1
     assert pacer.poll_transmit(10 * MS) == b"b" * 100
-    assert pacer.poll_timeout() is None
     assert pacer.longest_wait_ns == 10 * MS
-
-
-def test_packets_after_an_idle_time_are_spaced_as_the_channel_carries_them():
+    assert pacer.oldest_age_ns(11 * MS) == 5 * MS
+    # After an idle time they are spaced as the channel carries them: 100 octets take 8 ms.
     pacer, idle_ns = Pacer(cap_bps=80_000, channel_bps=100_000), 10 * NS_PER_S
     put(pacer, *[100] * 5, at_ns=idle_ns)
     left = [at_ns - idle_ns for at_ns, _ in release(pacer, idle_ns)]
-    # 100 octets take 8 ms of the channel.
     assert left == [0, 8 * MS, 16 * MS, 24 * MS, 32 * MS]
     assert (pacer.released.events, pacer.longest_wait_ns) == (5, 32 * MS)
     assert pacer.released.last_ns == idle_ns + left[-1]
-
-
-@pytest.mark.rule("4")
-def test_the_queue_tells_its_depth_and_its_oldest_age():
-    pacer = Pacer(cap_bps=80_000)
-    assert pacer.oldest_age_ns(7 * MS) == 0
-    put(pacer, 100, 100, at_ns=5 * MS)
-    put(pacer, 50, at_ns=6 * MS)
-    assert (pacer.depth, pacer.backlog_octets) == (3, 250)
-    assert pacer.poll_transmit(5 * MS) is not None
-    assert (pacer.depth, pacer.backlog_octets) == (2, 150)
-    assert pacer.oldest_age_ns(9 * MS) == 4 * MS
 
 
 def test_room_is_back_exactly_when_the_window_has_passed():
@@ -142,35 +131,28 @@ def test_another_cap_counts_from_now_on():
             pacer.follow(cap_bps=cap_bps, channel_bps=channel_bps)
 
 
-def test_the_next_picture_starts_when_the_channel_has_taken_those_before_it():
+def test_the_next_picture_starts_when_channel_and_window_have_room():
     pacer = Pacer(cap_bps=80_000, picture_ns=33 * MS)
     assert pacer.start_ns(0) == 0
     put(pacer, 500, 500)
     pacer.poll_transmit(0)
     assert pacer.start_ns(0) == 100 * MS
     pacer.poll_transmit(50 * MS)
-    assert pacer.start_ns(66 * MS) == 100 * MS
-    assert pacer.start_ns(101 * MS) == 101 * MS
-
-
-def test_a_full_second_delays_the_next_picture_although_the_channel_is_free():
+    assert [pacer.start_ns(at * MS) for at in (66, 101)] == [100 * MS, 101 * MS]
+    # A full second delays it although the channel is free.
     pacer = Pacer(cap_bps=80_000, channel_bps=8_000_000, picture_ns=110 * MS)
-    assert pacer.picture_octets == 1100
     now = 0
     for _ in range(6):
         put(pacer, 1500, at_ns=now)
         ((now, _),) = release(pacer)
-    assert now == 550 * MS
-    assert pacer.start_ns(now + 200 * MS) > now + 200 * MS + 33 * MS
-    assert pacer.start_ns(1_000 * MS) <= 1_000 * MS + 33 * MS
-
-
-def test_a_picture_behind_more_than_a_window_holds_starts_when_the_window_is_empty():
+    assert (now, pacer.picture_octets) == (550 * MS, 1100)
+    assert pacer.start_ns(now + 200 * MS) > now + 233 * MS
+    assert pacer.start_ns(1_000 * MS) <= 1_033 * MS
+    # Behind more than a window holds it starts 100 ms, and the guard of 10 ms, after the last.
     pacer = Pacer(cap_bps=85_000, channel_bps=2_000_000)
     put(pacer, *[500] * 10)
     last_ns, _ = release(pacer, until_ns=50 * MS)[-1]
     assert pacer.depth == 7
-    # 100 ms, and the guard of 10 ms.
     assert pacer.start_ns(60 * MS) == last_ns + 110 * MS
 
 
@@ -194,7 +176,7 @@ def scheduler(busy_octets=0, *, fps=30, **options):
     return EncodeScheduler(pacer, fps=fps, **options), pacer
 
 
-def test_a_dry_channel_takes_a_picture_at_once():
+def test_a_dry_channel_takes_one_picture_at_a_time():
     clock, _ = scheduler()
     assert not clock.poll_encode(0)
     with pytest.raises(ValueError, match="no picture"):
@@ -202,8 +184,12 @@ def test_a_dry_channel_takes_a_picture_at_once():
     clock.handle_picture(0, 5 * MS)
     assert clock.poll_timeout() == 5 * MS
     assert clock.poll_encode(5 * MS)
-    assert clock.poll_timeout() is None
-    assert not clock.poll_encode(6 * MS)
+    assert clock.poll_timeout() is None and not clock.poll_encode(6 * MS)
+    clock.handle_picture(PERIOD, PERIOD)
+    assert clock.poll_timeout() is None and not clock.poll_encode(PERIOD)
+    clock.handle_encoded(PERIOD + 5 * MS)
+    assert clock.poll_encode(PERIOD + 5 * MS)
+    assert clock.refused == 0
 
 
 def test_a_picture_is_encoded_when_the_channel_will_be_dry_by_then():
@@ -213,36 +199,22 @@ def test_a_picture_is_encoded_when_the_channel_will_be_dry_by_then():
     # The coding time is assumed to be 3 ms until one was measured.
     assert clock.poll_timeout() == 27 * MS
     assert clock.poll_encode(27 * MS)
-
-
-def test_waiting_packets_do_not_delay_the_next_coding():
+    # Waiting packets do not delay it.
     clock, pacer = scheduler()
     put(pacer, 270, 20)  # 27 and 2 ms of the channel
     assert pacer.poll_transmit(0)
     clock.handle_picture(0, 20 * MS)
     assert clock.poll_timeout() == 26 * MS < pacer.poll_timeout()
     assert clock.poll_encode(26 * MS)
-
-
-def test_one_picture_is_encoded_at_a_time():
-    clock, _ = scheduler()
+    # Of a measured coding time one part in eight counts.
+    clock, pacer = scheduler()
     clock.handle_picture(0, 0)
     assert clock.poll_encode(0)
-    clock.handle_picture(PERIOD, PERIOD)
-    assert clock.poll_timeout() is None
-    assert not clock.poll_encode(PERIOD)
-    clock.handle_encoded(PERIOD + 5 * MS)
-    assert clock.poll_encode(PERIOD + 5 * MS)
-    assert clock.refused == 0
-
-
-def test_an_old_picture_is_replaced():
-    clock, _ = scheduler(300)
-    clock.handle_picture(0, 10 * MS)
-    assert not clock.poll_encode(27 * MS)
-    clock.handle_picture(PERIOD, 10 * MS + PERIOD)
-    assert clock.poll_encode(10 * MS + PERIOD)
-    assert (clock.captured, clock.refused) == (2, 1)
+    clock.handle_encoded(11 * MS)
+    put(pacer, 300, at_ns=40 * MS)  # 30 ms of the channel
+    assert pacer.poll_transmit(40 * MS)
+    clock.handle_picture(60 * MS, 65 * MS)
+    assert clock.poll_timeout() == 66 * MS
 
 
 @pytest.mark.rule("4")
@@ -257,8 +229,14 @@ def test_a_picture_may_be_22_parts_of_a_hundred_of_a_period_old(age_ms, waits):
     assert clock.poll_encode(due_ns)
 
 
-def test_nothing_is_encoded_while_the_link_is_behind_its_cap():
+def test_a_channel_that_is_behind_is_looked_at_again_after_2_ms():
     clock, _ = scheduler()
+    share = 80_000 // 8 // 30
+    for octets, due_ms in ((share, 0), (share + 1, 2)):
+        clock.handle_channel(octets, 80_000_000, 0)
+        clock.handle_picture(0, 10 * MS)
+        assert clock.poll_timeout() == (10 + due_ms) * MS
+    # Nothing is encoded while the link is behind its cap.
     clock.handle_channel(10_000, 96_000, 0)
     clock.handle_picture(0, 0)
     for now_ns in range(0, 30 * MS, MS):
@@ -269,28 +247,13 @@ def test_nothing_is_encoded_while_the_link_is_behind_its_cap():
     assert clock.poll_encode(31 * MS)
 
 
-def test_a_channel_that_is_behind_is_looked_at_again_after_2_ms():
-    clock, _ = scheduler()
-    share = 80_000 // 8 // 30
-    for octets, due_ms in ((share, 0), (share + 1, 2)):
-        clock.handle_channel(octets, 80_000_000, 0)
-        clock.handle_picture(0, 10 * MS)
-        assert clock.poll_timeout() == (10 + due_ms) * MS
-
-
-def test_the_coding_time_is_measured():
-    clock, pacer = scheduler()
-    clock.handle_picture(0, 0)
-    assert clock.poll_encode(0)
-    clock.handle_encoded(11 * MS)
-    put(pacer, 300, at_ns=40 * MS)  # 30 ms of the channel
-    assert pacer.poll_transmit(40 * MS)
-    clock.handle_picture(60 * MS, 65 * MS)
-    # 3 ms were assumed; one part in eight of the difference counts.
-    assert clock.poll_timeout() == 66 * MS
-
-
-def test_pictures_left_out_and_the_last_one_are_refused():
+def test_pictures_that_are_replaced_left_out_or_left_over_are_refused():
+    clock, _ = scheduler(300)
+    clock.handle_picture(0, 10 * MS)
+    assert not clock.poll_encode(27 * MS)
+    clock.handle_picture(PERIOD, 10 * MS + PERIOD)
+    assert clock.poll_encode(10 * MS + PERIOD)
+    assert (clock.captured, clock.refused) == (2, 1)
     clock, _ = scheduler()
     clock.handle_picture(0, 0, skipped=2)
     assert (clock.captured, clock.refused) == (3, 2)
