@@ -39,7 +39,6 @@ PLANS = [
 ]
 #: More than all depths of a queue together, without a replay.
 MOST_WAITING = 64 + 32 + 1 + 8 + 8 + 2 * 25 + 4 + 2 * 15 + 2 * MOST_UNITS
-
 WORDS = st.sampled_from(
     [
         *("command", "chat", "call", "report", "tasks", "robot", "select", "joystick", "hand"),

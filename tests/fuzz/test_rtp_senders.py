@@ -16,7 +16,6 @@ from kontur_av.streams.voice_receiver import VoiceReceiver
 
 PERIOD_TICKS, PERIOD_NS = 3000, 33_333_333
 HERE, ELSEWHERE = ("192.0.2.1", 5004), ("192.0.2.2", 5004)
-
 # Bodies have no zeros, so they contain no start code.
 BODY = st.integers(1, 3000).map(lambda n: bytes(1 + (n * i) % 255 for i in range(n)))
 HEADS = st.lists(st.sampled_from([b"\x09\xf0", b"\x06\x05\x01\x80", b"\x67\x42", b"\x68\xce"]))

@@ -22,18 +22,12 @@ from telepresence.haptics.sample import (
 # Dead-man button 0x10; state 3 with the buttons 0 and 2 (0b0101): 0x53.
 # 0.06 m = 3000 counts = 0x0BB8; -0.05 m = -2500 = 0xF63C; session 7; 6016277 µJ = 0x5BCD15.
 COMMAND = bytes.fromhex("1234 10 53 0bb8 f63c 07 5bcd15")
-
-
 # Feedback 0x80 and contact 0x01; impedance 3 with LED 2 lit: (2 + 1) << 4 | 3 = 0x33.
 # -7 N = -3500 counts = 0xF254; 0.5 N = 250 = 0x00FA; the last session, the most energy.
 FEEDBACK = bytes.fromhex("ffff 81 33 f254 00fa ff ffffff")
-
-
 # Request 0x00c0ffee of a joystick that sends in session 5 and has heard of the life 0xbee100. It
 # holds.
 REQUEST = bytes.fromhex("0005 44 00 00c0ffee 00bee100")
-
-
 # The robot's life 0xbeef00 offers session 6 for it.
 OFFER = bytes.fromhex("0006 c0 00 00beef00 00c0ffee")
 

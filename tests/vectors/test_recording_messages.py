@@ -145,7 +145,6 @@ VECTORS = [
         RecordedFigures(session_ns=1, figures=(RecordedFigure(name="a", number=1.5, text=""),)),
     ),
 ]
-
 # Packed: 1 in 8 octets | -1 | 1.0 | -2.0 | 0.5 | 0.0 | 8.0 | state 3, LED 1 lit, contact
 SAMPLES = bytes.fromhex(
     "0a08 0100000000000000 1204 ffffffff 1a04 0000803f 2204 000000c0"

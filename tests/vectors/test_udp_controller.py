@@ -23,7 +23,6 @@ KEY = bytes(range(32))
 OWN, PEER = bytes(range(0x40, 0x50)), bytes(range(0x80, 0x90))
 COMMANDS = bytes.fromhex("e5d3e4c815ef891202b4aa85bb44736e8731ac5a447af4f656c9d2444f5b06b0")
 READINGS = bytes.fromhex("cb22a019f426d4fed9d5cadf55e1361b269eb72e4175190a427b5fc2ff683531")
-
 HELLO = bytes.fromhex(
     "01 01 02 01"  # version, kind, axes, a robot
     "404142434445464748494a4b4c4d4e4f"

@@ -10,15 +10,9 @@ from telepresence.tmtc.pus.head import is_packet
 # 000 0 0 00100000011 | 11 00000000000101 | length 10 - 1 = 9 | version 2, 1/8 turn = 0x2000,
 # 3035 ms = 0xbdb, 60 mm = 3000 counts = 0xbb8, 1500 N/m = 0x5dc
 WALL = bytes.fromhex("0103 c005 0009 02 2000 000bdb 0bb8 05dc")
-
-
 # To -y, 3/4 turn = 0xc000, at -115 mm = -5750 counts = 0xe98a, 200 N/m = 0xc8
 PLATE = bytes.fromhex("0103 ffff 0009 02 c000 ffffff e98a 00c8")
-
-
 NONE = bytes.fromhex("0103 c000 0009 02 0000 000000 0000 0000")
-
-
 VECTORS = [
     (WALL, 5, WallMessage(3035, Wall(tau / 8, 3000 * 20e-6, 1500.0))),
     (PLATE, 16383, WallMessage((1 << 24) - 1, Wall(tau * 3 / 4, -5750 * 20e-6, 200.0))),

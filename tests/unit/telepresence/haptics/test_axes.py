@@ -16,13 +16,10 @@ from telepresence.haptics.axes import (
     pack_axes,
     read_axes,
 )
-from telepresence.haptics.loop import robot_link
 from telepresence.haptics.sample import POSITION_M, SAMPLE_OCTETS
 from telepresence.link.profile import UPLINK
 
 Z = AxisFacts(name="z", half_range=0.1, force_limit=10.0, speed=0.5)
-
-
 values = st.tuples(st.floats(-0.6, 0.6), st.integers(0, MOST_AXIS_ENERGY_UJ), st.booleans())
 
 
@@ -38,13 +35,6 @@ def test_what_is_packed_is_read_back(sent):
 def test_a_count_that_is_never_sent_is_refused():
     with pytest.raises(ProtocolError, match="-32768"):
         read_axes(b"\x80\x00\x00\x00\x00", POSITION_M)
-
-
-@given(st.binary(max_size=40))
-def test_garbage_is_counted_and_nothing_else(data):
-    link = robot_link(more=2)
-    link.handle_datagram(data, 0)
-    assert link.garbage + link.greetings + link.strays == 1
 
 
 def test_a_robot_with_other_axes_is_refused():

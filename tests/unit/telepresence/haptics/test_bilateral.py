@@ -1,7 +1,6 @@
 """Joystick and robot with a path between them: the contact is felt, stable, and makes no energy."""
 
 from itertools import pairwise
-from random import Random
 
 import pytest
 from haptic_pair import MS, HapticPair
@@ -9,10 +8,8 @@ from haptic_samples import unpack_command, unpack_feedback
 from haptic_session import begin_session
 
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
-from telepresence.haptics.board import Board, WallModel
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.hand import PRESS_AND_SLIDE, Waypoint
-from telepresence.haptics.loop import joystick_link
+from telepresence.haptics.hand import PRESS_AND_SLIDE
 from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.sample import (
@@ -22,13 +19,6 @@ from telepresence.haptics.sample import (
     Command,
     pack_command,
 )
-
-#: One count of the energy in a sample.
-COUNT_J = 1e-6
-
-
-def waypoint(x_m, y_m, move_ms, stay_ms):
-    return Waypoint(x_m, y_m, move_ms * MS, stay_ms * MS)
 
 
 def pair_with(script, *, passive=True, delay_ms=10):
@@ -59,39 +49,6 @@ def test_the_press_is_felt():
     assert (sample.contact, sample.lit, sample.mode) == (True, 0, MODE_IMPEDANCE)
 
 
-def test_only_with_the_controllers_a_contact_at_25_ms_delay_comes_to_rest():
-    script = (waypoint(0.085, -0.05, 1_000, 60_000), waypoint(0.0, -0.05, 500, 0))
-    swings = []
-    for passive in (False, True):
-        pair = pair_with(script, passive=passive, delay_ms=25)
-        pair.run(5_000)
-        forces = [pair.robot.force_n for _ in pair.cycles(1_000)]
-        swings.append(max(forces) - min(forces))
-    assert swings[0] > 10.0 and swings[1] < 0.2
-
-
-@pytest.mark.parametrize(("wall_n_m", "delay_ms"), [(5000.0, 10), (1500.0, 25)])
-def test_a_force_that_was_cut_is_not_turned_into_the_wall(wall_n_m, delay_ms):
-    # Pressing against the wall at three places, at an angle.
-    script = [
-        waypoint(x_m, y_m, move_ms, stay_ms)
-        for y_m in (-0.05, 0.0, 0.05)
-        for x_m, move_ms, stay_ms in ((0.085, 600, 500), (0.02, 500, 200))
-    ]
-    ground = RobotSide(board=Board(WallModel(stiffness_n_m=wall_n_m)))
-    pair = HapticPair(JoystickSide(script=script), ground, delay_ms=delay_ms)
-    controller, cut = pair.space.controller, 0
-    for _ in pair.cycles(5000):
-        feedback = pair.space.link.latest(pair.now_ns)
-        if feedback is not None and feedback.fx_n < -1.0:
-            x_n, y_n = controller.robot_force_n
-            # The wall pushes along -x. Friction adds at most a seventh of that along y.
-            assert x_n <= 0.0 and abs(y_n) < 4.0
-            cut = controller.acted
-    assert cut > 0
-    pair.assert_passive()
-
-
 def test_an_outage_during_contact_ends_at_rest_and_resumes_without_a_jump():
     pair = pair_with(PRESS_AND_SLIDE)
     pair.run(3_400)
@@ -109,19 +66,6 @@ def test_an_outage_during_contact_ends_at_rest_and_resumes_without_a_jump():
     most_m = controller.model.speed_m_s / 1000
     assert max(abs(b[1] - a[1]) for a, b in pairwise(seen)) <= most_m + 1e-9
     assert pair.robot.contact and pair.ground.link.lost == 1_500
-
-
-def test_a_restarted_joystick_begins_without_credit_and_continues():
-    pair = HapticPair(delay_ms=5)
-    pair.run(2_000)
-    port = pair.ground.controller.port
-    before = port.received_j
-    pair.space = JoystickSide(link=joystick_link(life=2))
-    assert {pair.ground.lit for _ in pair.cycles(8_000)} == {None, 0, 1, 2}
-    assert pair.ground.link.restarts == 1
-    # The new totals begin at 0, which must not count as a gain.
-    assert before < port.received_j < before + 2.0
-    assert pair.ground.controller.least_observed_uj >= -1.0
 
 
 def test_a_robot_in_another_mode_displays_no_force_and_stays():
@@ -160,22 +104,6 @@ def test_a_late_cycle_simulates_the_time_in_small_steps():
     robot.handle_cycle(0, 3_600_000 * MS)
     assert abs(robot.robot.x_m) < 0.06
     assert isinstance(robot.link.latest(0), Command)
-
-
-def test_a_route_that_alternates_with_burst_loss_makes_no_energy():
-    random, pair, bursts = Random(1), HapticPair(), False
-    for cycle in pair.cycles(12_000):
-        # Its delay alternates; losses come in bursts of 10 on average, 10 % in all.
-        pair.delay_ms = 50 if cycle // 2000 % 2 else 800
-        bursts = random.random() < (0.9 if bursts else 0.1 / 9)
-        pair.cut = bursts
-        for side, peer in ((pair.ground, pair.space), (pair.space, pair.ground)):
-            assert side.controller.port.received_j <= peer.controller.port.granted_j + COUNT_J
-    for side in (pair.ground, pair.space):
-        link = side.link
-        assert link.restarts == 0 and link.late > 1000 and link.received > 5_000
-        assert side.controller.port.received_j > 0.02
-    pair.assert_passive()
 
 
 def test_the_side_of_a_mediated_joystick_hears_of_a_restart_and_another_takes_no_wall():

@@ -86,7 +86,8 @@ def test_the_band_of_a_fast_hand_is_wider():
             value = Command(speed_m_s * k / 1000, 0.0, 0)
             if band.handle_sample(value, False, k * NS_PER_MS) is not None:
                 held = value
-            worst = max(worst, value.x_m - held.x_m)
+            if k >= 100:
+                worst = max(worst, value.x_m - held.x_m)
         return worst
 
     assert 0 < worst_m(0.01) <= POSITION_FLOOR_M
@@ -204,36 +205,3 @@ def test_no_port_ever_gives_out_what_was_not_granted(delay_ms, jitter_ms, loss, 
     if delay_ms < 200:
         assert run.space.link.deadband.left_out > 0
     assert most_n < 20
-
-
-@pytest.mark.parametrize("delay_ms", [0, 10])
-def test_forces_and_motions_are_nearly_the_same(delay_ms):
-    runs = [pair(deadband=deadband, delay_ms=delay_ms) for deadband in (False, True)]
-    off_m = off_n = 0.0
-    contacts = [0, 0]
-    for _ in range(8_000):
-        touched = [run.robot.contact for run in runs]
-        for run in runs:
-            run.step()
-        for index, run in enumerate(runs):
-            contacts[index] += run.robot.contact and not touched[index]
-        every, some = runs
-        off_m += hypot(every.robot.x_m - some.robot.x_m, every.robot.y_m - some.robot.y_m)
-        off_n += abs(every.felt_n - some.felt_n)
-    assert contacts[0] == contacts[1] > 3
-    # On average, because a contact one cycle earlier differs by the whole force for a moment.
-    assert off_m / 8_000 < 0.3e-3 and off_n / 8_000 < 0.2
-    # Four fifths of the robot's samples are not sent, and half of the joystick's.
-    assert some.ground.link.sent_figures().left_out > 0.75 * 8_000
-    assert some.space.link.sent_figures().left_out > 0.4 * 8_000
-    assert some.space.link.lost == some.ground.link.lost == 0
-
-
-def test_two_lost_samples_in_a_row_are_no_silence():
-    for start in range(500, 506):
-        run = pair(delay_ms=5)
-        for cycle in run.cycles(600):
-            run.cut = start <= cycle < start + 12
-        assert run.space.link.lost >= 2
-        found = list(iter(run.space.link.next_event, None))
-        assert len(found) == 1, "once, at the beginning: it was never lost"

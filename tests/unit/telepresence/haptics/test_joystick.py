@@ -1,6 +1,5 @@
 """The simulated joystick: its handle, its stops, and motors that grow hot."""
 
-from itertools import pairwise
 from math import hypot
 
 import pytest
@@ -76,20 +75,3 @@ def test_a_stop_pushes_back_and_never_pulls(axis, sign):
         got = (joystick.vx_m_s, joystick.vy_m_s)
         assert got[axis] == pytest.approx(sign * (speed_m_s - force_n / 0.4 * 1e-3))
         assert got[1 - axis] == 0.0
-
-
-def test_hot_motors_exert_less_force_until_they_cool_down():
-    joystick = Joystick(JoystickModel(warm_s=2.0))
-    limits = []
-    for _ in range(8_000):
-        limits.append(joystick.force_limit_n)
-        pushed(joystick, 1, (20.0, 0.0), (-12.0, 0.0), 0.2)
-        assert joystick.motor_x_n == pytest.approx(limits[-1])
-    assert limits[0] == 12.0
-    assert all(later <= earlier for earlier, later in pairwise(limits))
-    # At this temperature heating equals cooling, so derating keeps it below its end.
-    assert 60.0 < joystick.temperature_c < 80.0
-    assert 3.0 < limits[-1] < 12.0
-    pushed(joystick, 10_000, hand_kg=0.2)
-    assert joystick.force_limit_n == 12.0
-    assert joystick.temperature_c == pytest.approx(23.0, abs=0.5)

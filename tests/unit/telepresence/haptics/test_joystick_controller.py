@@ -154,19 +154,6 @@ def test_it_returns_what_it_does_not_need_to_a_robot_that_lacks():
     assert granted_j(True, 8.0) == pytest.approx(MODEL.reserve_j - needed_j, rel=0.02)
 
 
-@pytest.mark.parametrize("credit_j", [0.0, 1e-5, 1e-4, 1e-3])
-def test_a_hand_that_yields_at_once_receives_no_more_than_the_credit(credit_j):
-    side = JoystickController(JoystickControllerModel(rate_n_s=1e6))
-    side.port.credit_j = credit_j
-    x_m = v_m_s = 0.0
-    for k in range(100):
-        side.step(Feedback(10.0, 0.0, 0, True), x_m, 0.0, MS)
-        # First at rest, then with the greatest acceleration that the controller allows for.
-        v_m_s += MODEL.acceleration_m_s2 * 1e-3 if 50 <= k < 60 else 0.0
-        x_m += v_m_s * 1e-3
-        assert side.credit_uj >= -1.0
-
-
 def test_exchanged_axes_exchange_the_forces_on_the_handle():
     upright, turned = JoystickController(), JoystickController()
     largest_n = 0.0

@@ -1,6 +1,5 @@
 """The ends of the haptic exchange: the newest sample wins, restarts, silence, and replays."""
 
-from collections import deque
 from random import Random
 
 import pytest
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.figures import SamplesReceived
-from telepresence.haptics.latency import LatencyMatcher
 from telepresence.haptics.loop import PeerFound, PeerLost, PeerRestarted, joystick_link, robot_link
 from telepresence.haptics.sample import (
     FLAG_HOLDING,
@@ -178,29 +176,6 @@ def test_a_greeting_alone_changes_nothing():
     assert (robot.session.sending, joystick.session.sending) == sessions
     # The joystick goes on as before; the robot answers now and then in the place of a sample.
     assert joystick.sent == 99 and 85 < robot.sent < 99
-
-
-def test_delays_are_matched_through_a_wrap_and_a_renewed_session():
-    robot, joystick, matcher = robot_link(), joystick_link(), LatencyMatcher()
-    joystick.sent = 60_000
-    down, latencies = deque(), []
-    for cycle in range(32_000):
-        now_ns = cycle * MS
-        joystick.handle_local(command(0.1), now_ns)
-        robot.handle_local(REST, now_ns)
-        down.append(joystick.poll_transmit(now_ns))
-        joystick.handle_datagram(robot.poll_transmit(now_ns), now_ns)
-        if len(down) > 25:
-            robot.handle_datagram(down.popleft(), now_ns)
-        if cycle % 1000 == 999:
-            matcher.handle_received(robot.take_received_stamps())
-            matcher.handle_sent(joystick.take_sent_stamps())
-            latencies += [ns for _, ns in matcher.take_matches_ns(now_ns)]
-    # Greetings begin the session, and renew it.
-    assert len(latencies) + robot.greetings == 32_000 - 25
-    assert 0 < robot.greetings < 100 and robot.sessions == joystick.sessions == 2
-    assert robot.lost == joystick.lost == robot.strays == matcher.unmatched == 0
-    assert set(latencies) == {25 * MS}
 
 
 class Archive:

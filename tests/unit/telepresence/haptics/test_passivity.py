@@ -16,8 +16,6 @@ from telepresence.haptics.sample import Command, Feedback
 MS = 1_000_000
 #: One count of the energy in a sample.
 COUNT_J = 1e-6
-
-
 flows = st.one_of(
     st.tuples(st.just("flow"), st.floats(-0.01, 0.01)),
     st.tuples(st.just("total"), st.integers(0, 20_000)),
@@ -125,8 +123,6 @@ def test_a_gain_after_a_silence_or_beyond_the_bucket_counts_when_there_was_time_
 
 
 unit = st.floats(-1.0, 1.0)
-
-
 #: Each span lasts some ms with one acceleration of the hand and one motion of the tip. The path
 #: delays each sample by up to some ms, and loses a share of them.
 spans = st.tuples(

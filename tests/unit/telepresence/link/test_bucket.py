@@ -8,8 +8,6 @@ from hypothesis import strategies as st
 from telepresence.link.bucket import Allowance, TokenBucket
 
 MS = 1_000_000
-
-
 BURST = 100
 
 

@@ -7,8 +7,6 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.clock_estimator import ClockEstimator, ClockHistory
 
 S, MS = NS_PER_S, NS_PER_MS
-
-
 #: An offset that floats of nanoseconds could not hold.
 FAR_NS = 1_700_000_000 * S + 1
 

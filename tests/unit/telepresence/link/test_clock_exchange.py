@@ -24,8 +24,6 @@ from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
 
 MS, S, US = 1_000_000, 1_000_000_000, 1000
-
-
 SLOT_NS = 10 * MS
 
 
@@ -309,11 +307,7 @@ def test_at_most_eight_reports_are_held():
 
 
 UP = [packet_flow("tc", Level.TMTC)]
-
-
 DOWN = [packet_flow("tm", Level.TMTC), rtcp_flow("rtcp")]
-
-
 #: Of the network, besides what the radio paths of both ends add.
 NETWORK_NS = 300_000
 
@@ -413,16 +407,6 @@ def test_a_radio_on_the_way_in_is_no_part_of_the_network():
     pair.run(6)
     figures, wrong_ns = pair.clock_of(pair.space)
     assert wrong_ns <= figures.error_ns < 2 * NETWORK_NS
-
-
-def test_a_restarted_peer_is_measured_anew():
-    pair = Gateways(S)
-    pair.run(3)
-    pair.ground = pair.gateway(3)
-    pair.run(3)
-    figures, wrong_ns = pair.clock_of(pair.space)
-    assert wrong_ns <= figures.error_ns < MS
-    assert figures.restarts == 0
 
 
 def test_ends_of_one_machine_send_no_clock_and_an_end_that_compares_none_drops_it():

@@ -7,20 +7,10 @@ from telepresence.link.frame import FrameCodec
 from telepresence.link.peer_path import SILENCE_NS, STEP_NS, OpenPath, ProtectedPath
 
 DOWNLINK = BUILT_IN["spacejustin"].downlink
-
-
 GOOD = FrameCodec(DOWNLINK).pack_idle(7, None)
-
-
 HIT = bytes([GOOD[0] ^ 1]) + GOOD[1:]
-
-
 PEER, OTHER = ("192.0.2.1", 27000), ("192.0.2.9", 4000)
-
-
 SLOT_NS = 1_000_000
-
-
 FRAME = bytes(32)
 
 
@@ -116,18 +106,6 @@ def test_two_ends_agree_exchange_frames_and_say_what_happened():
     # The end that waits to be called was told by nobody where the other one is.
     assert ground.address == f"{SPACE_ADDRESS[0]}:{SPACE_ADDRESS[1]}"
     assert [event.what.partition(" ")[0] for event in ground.events] == ["peer", "session"]
-
-
-def test_a_new_address_is_followed_and_counted():
-    pair = Pair().slots(100)
-    moved = ("198.51.100.77", 40_000)
-    pair.paths[moved] = pair.paths.pop(SPACE_ADDRESS)
-    pair.slots(100)
-    ground = pair.ground.report(pair.now_ns)
-    assert (ground.address, ground.address_changes) == ("198.51.100.77:40000", 1)
-    assert ground.events[-1].what == "peer moved to 198.51.100.77:40000"
-    # The first slot after it still went to the old address.
-    assert pair.frames[pair.space] >= ground.sent - 1
 
 
 def test_records_are_opened_at_once_and_handshakes_only_in_a_long_rest():

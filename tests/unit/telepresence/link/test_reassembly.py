@@ -11,8 +11,6 @@ from telepresence.link.profile import DOWNLINK
 from telepresence.link.reassembly import PacketReassembly
 
 MS = 1_000_000
-
-
 RAW = [packet_flow(f"raw{level}", level) for level in Level]
 
 

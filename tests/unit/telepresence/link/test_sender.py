@@ -5,8 +5,6 @@ from collections import deque
 from random import Random
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from telepresence.haptics.mediated.wall import WallMessage, pack_wall
 from telepresence.link.flows import (
@@ -19,7 +17,7 @@ from telepresence.link.flows import (
     video_flow,
     voice_flow,
 )
-from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.queues import MOST_EXPIRED, DropPolicy, QueueLimits
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import MOST_PIECES, LinkSender
@@ -37,8 +35,6 @@ FLOWS = [
 #: A raw flow for each level, and RTCP at the level of video.
 RAW = [*(packet_flow(level.name.lower(), level) for level in Level), rtcp_flow("rtcp")]
 TELECOMMAND = pack_packet(Telecommand(apid=0x133, count=7, service=8, subtype=1, data=b"s"))
-#: A zone of few octets with an M_PDU header: all packets are in pieces.
-NARROW = LinkProfile(name="narrow", frame_octets=34, scid=1)
 PROFILES = pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
 
 
@@ -157,20 +153,6 @@ def test_an_uplink_at_its_caps_loses_nothing_and_video_alone_waits():
     assert octets["packet_headers"] + octets["framing"] <= 3 * (media + others)
 
 
-def test_a_downlink_at_its_caps_has_no_waiting():
-    line = loaded(DOWNLINK, 10_000, video_bps=512_000, voice_octets=160, packets_a_picture=2)
-    assert max(max(ages, default=0) for ages in line.ages.values()) <= 5
-    assert len(line.ages["video"]) >= 10 * 60 - 2
-    assert line.sender.octets()["voice"] == 500 * 160
-
-
-def test_levels_below_a_flooded_one_wait_and_voice_still_flows():
-    line = loaded(UPLINK, 5_000, video_bps=85_000, voice_octets=20, flood=[("maintenance", 40)])
-    assert max(line.ages["voice"]) <= 3
-    assert max(line.ages["video"]) <= 60
-    assert line.ages["maintenance"]
-
-
 def test_a_flood_of_telecommands_is_limited_and_counted():
     line = loaded(UPLINK, 10_000, video_bps=75_000, voice_octets=20, flood=[("tmtc", 20)])
     queues = line.queues
@@ -241,21 +223,6 @@ def test_a_saturated_level_uses_all_remaining_capacity(profile, level, sampled, 
     else:
         # A tag, and at most two octets of length if a packet ends in the zone where it begins.
         assert books[name] >= 0.995 * octets / (octets + 2) * left
-
-
-@PROFILES
-def test_missing_samples_leave_octets_to_lower_levels(profile):
-    """A deadband leaves out three samples of four: their octets carry maintenance."""
-    sender, slots = LinkSender(profile, RAW), 2_000
-    for slot in range(slots):
-        if slot % 4 == 0:
-            sender.handle_haptic(bytes(12), slot * MS)
-        while sender.waiting_octets(Level.MAINTENANCE) < 2000:
-            sender.handle_packet("maintenance", bytes(1000), slot * MS)
-        sender.poll_transmit(slot * MS)
-    books = sender.octets()
-    assert books["idle"] == 0
-    assert books["maintenance"] >= 0.99 * (profile.packet_zone_octets + 9) * slots
 
 
 @pytest.mark.rule("4")
@@ -407,44 +374,3 @@ def test_garbage_takes_no_capacity(flow, data, plausible):
     assert sender.refused["garbage"] == (not plausible)
     assert not sender.handle_packet("f", bytes(2049), 0) and sender.refused["oversize"] == 1
     assert not sender.handle_haptic(bytes(11), 0) and sender.refused["haptic_length"] == 1
-
-
-@pytest.mark.parametrize("profile", [UPLINK, NARROW, DOWNLINK], ids=lambda profile: profile.name)
-@settings(max_examples=12)
-@given(data=st.data())
-def test_every_octet_of_every_frame_is_accounted_for_and_every_packet_comes(profile, data):
-    sender, receiver = LinkSender(profile, RAW, first_count=5), LinkReceiver(profile, RAW)
-    sizes = data.draw(st.lists(st.tuples(st.integers(0, 3), st.integers(1, 700)), max_size=12))
-    sent, got, now_ns = [], [], 0
-    for number, (level, size) in enumerate(sizes):
-        packet = bytes([number]) * size
-        assert sender.handle_packet(RAW[level].name, packet, now_ns)
-        sent.append((RAW[level].name, packet))
-    samples = messages = 0
-    for slot in range(600):
-        if slot % 3 == 0:
-            samples += sender.handle_haptic(bytes(12), now_ns)
-        supervision = bytes(range(12)) if slot % 7 == 0 else None
-        messages += supervision is not None
-        frame = sender.poll_transmit(now_ns, supervision)
-        assert len(frame) == profile.frame_octets and receiver.handle_frame(frame, now_ns)
-        while (event := receiver.next_event()) is not None:
-            if hasattr(event, "flow"):
-                got.append((event.flow.name, event.data))
-        now_ns += profile.slot_ns
-    octets = sender.octets()
-    assert sum(octets.values()) == 600 * profile.frame_octets and sender.frames_sent == 600
-    assert octets["haptic"] == 12 * samples and octets["supervision"] == 12 * messages
-    carried = sum(octets[level.name.lower()] for level in Level)
-    left = sum(sender.waiting_octets(level) for level in Level) + sender.begun_octets(Level(3))
-    if profile is DOWNLINK:
-        assert sorted(got) == sorted(sent) and left == 0
-        assert carried == sum(size for _, size in sizes)
-    assert set(got) <= set(sent) and len(set(got)) == len(got)
-    # Within a level the order stays; on a narrow link some grow too old.
-    for level in range(4):
-        order = iter([packet for name, packet in sent if name == RAW[level].name])
-        assert all(packet in order for name, packet in got if name == RAW[level].name)
-    report = receiver.report()
-    assert (report.frames_received, report.frames_lost, report.restarts) == (600, 0, 0)
-    assert (report.haptic_received, report.supervision_received) == (samples, messages)

@@ -12,8 +12,6 @@ from telepresence.link.radio import RadioPath
 from telepresence.link.slots import FIGURES_NS, MOST_DATAGRAMS, GatewaySlots, WakeMargin
 
 MS = 1_000_000
-
-
 US = 1000
 
 

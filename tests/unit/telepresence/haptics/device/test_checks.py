@@ -37,36 +37,11 @@ def test_a_healthy_joystick_passes_all_checks_with_its_own_figures():
     assert abs(device.joystick.x_m) < 0.005 and abs(device.joystick.y_m) < 0.005
 
 
-@pytest.mark.parametrize(
-    ("check", "fault", "words"),
-    [
-        ("friction", "friction", "Coulomb friction x"),
-        ("spring", "weak", "stiffness y"),
-        ("buttons", "button", "button 2 pressed and let go"),
-    ],
-)
-def test_a_fault_fails_its_check(check, fault, words):
-    result = checked([check], FAULTS[fault])[check]
-    assert result.failed
-    assert words in [figure.name for figure in result.figures if not figure.passed]
-    assert not result.trouble
-
-
 @pytest.mark.parametrize("axis", [0, 1])
 def test_a_stuck_axis_is_never_calibrated(axis):
     result = checked(["workspace"], Faults(stuck=axis))["workspace"]
     assert result.failed
     assert f"calibration error: axis {'xy'[axis]} moves by ±0 mm" in result.trouble
-
-
-@pytest.mark.parametrize("check", ["workspace", "friction", "spring"])
-def test_an_axis_stuck_after_the_calibration_fails_checks_that_move_it(check):
-    def stick(bench, device):
-        if bench.operation.calibration is not None:
-            device.stuck = 1
-
-    result = checked([check], during=stick)[check]
-    assert result.failed
 
 
 def test_hot_motors_end_a_check_with_the_reason():
@@ -85,16 +60,6 @@ def test_an_unplugged_joystick_fails_all_remaining_checks():
     results = checked(list(CHECKS), FAULTS["unplugged"])
     assert len(results) == len(CHECKS)
     assert all("the device is gone" in result.trouble for result in results.values())
-
-
-def test_unexpected_button_presses_are_counted():
-    def lean(bench, device):
-        if bench.prompt.startswith("press button"):
-            device.fingers.buttons |= 0b1000
-
-    result = checked(["buttons"], during=lean)["buttons"]
-    failed = [figure.name for figure in result.figures if not figure.passed]
-    assert "other buttons with 1" in failed
 
 
 def test_a_device_that_never_becomes_ready_fails_each_check_after_forty_seconds():

@@ -18,8 +18,10 @@ from telepresence.haptics.device.simulated import FACTS
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-@pytest.mark.parametrize(("motors", "offset_m"), [(1.0, 0.0), (0.8, 0.002)])
-def test_stiffness_is_that_which_swings_the_handle(axis, motors, offset_m):
+@pytest.mark.parametrize(
+    ("motors", "offset_m", "turns"), [(1.0, 0.0, 99), (0.8, 0.002, 99), (1.0, 0.0, 2)]
+)
+def test_stiffness_is_that_which_swings_the_handle(axis, motors, offset_m, turns):
     """The handle that is let go 30 mm aside swings as k, m and its viscous friction say."""
     facts = replace(FACTS, mass_kg=0.5, viscous_n_s_m=2.0)
     decay, swings = 2.0 / (2 * 0.5), []
@@ -31,6 +33,7 @@ def test_stiffness_is_that_which_swings_the_handle(axis, motors, offset_m):
             t = (ms - 400) / 1000.0
             place = 0.028 * sin(pi / 2 + omega * t) * exp(-decay * t) + offset_m
             speed = -0.028 * omega * sin(omega * t) * exp(-decay * t)
+            speed *= omega * t < (turns + 0.5) * pi
             swings.append((place, output))
         both = [0.0, 0.0, 0.0, 0.0]
         both[axis], both[2 + axis] = place, speed

@@ -7,7 +7,7 @@ from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.device.functional_test import FORCE_N, Outcome, TestPart, functional_test
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice, PageInput
-from telepresence.haptics.device.simulated import FACTS, FAULTS, Faults, Fingers, SimulatedDevice
+from telepresence.haptics.device.simulated import FACTS, FAULTS, Fingers, SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import Feedback
@@ -73,14 +73,6 @@ def test_a_healthy_joystick_passes_and_leads_no_robot_meanwhile():
     session.handle.handle_command(JoystickEvent.START)
     session.run(1)
     assert (session.handle.state, session.handle.dead_man) == (JoystickState.APPLICATION, True)
-
-
-def test_an_axis_that_is_stuck_fails_the_test():
-    session = Session(Faults())
-    session.device.stuck = 1
-    report = session.test()
-    assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.PLACE)
-    assert "axis y does not move" in report.reason
 
 
 @pytest.mark.parametrize(

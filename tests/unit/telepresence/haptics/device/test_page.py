@@ -2,15 +2,12 @@
 
 from copy import deepcopy
 from math import hypot, inf, nan, pi, sin
-from random import Random
 
 import pytest
-from haptic_pair import HapticPair
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import FACTS, PageDevice, PageHandModel, PageInput
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
@@ -218,8 +215,6 @@ def test_after_a_silence_a_button_that_was_held_is_pressed_no_more(seat, silent_
 
 
 wild = st.floats() | st.sampled_from([0.0, 1.0, -1.0, 1.0000001, nan, inf, -inf, 1e300])
-
-
 inputs = st.builds(
     PageInput,
     st.booleans(),
@@ -285,109 +280,9 @@ def test_a_press_at_the_page_holds_the_axes_where_they_are():
 BEGUN, TAPS, PRESS, RELEASED = 3_500, 4_500, 6_500, 8_500
 
 
-class Moved:
-    """A page's hand and a robot with a delay; a pointer sends events at one rate."""
-
-    def __init__(self, delay_ms, *, period_ms=4, mediated=False):
-        self.device = PageDevice()
-        self.handle = OperatedHandle(self.device)
-        space = JoystickSide(handle=self.handle, mediated=mediated)
-        self.pair = HapticPair(space, RobotSide(mediated=mediated), delay_ms=delay_ms)
-        self.period_ms, self.robot = period_ms, self.pair.robot
-
-    def cycles(self, count, *, points=range(BEGUN, RELEASED)):
-        """Yield in each cycle, before it runs; the page points in those of `points`."""
-        for cycle in self.pair.cycles(count):
-            now_ns = cycle * NS_PER_MS
-            if (feedback := self.pair.space.link.latest(now_ns)) is not None:
-                self.handle.handle_feedback(feedback)
-            if (wall := self.pair.ground.poll_wall(now_ns)) is not None:
-                self.pair.space.handle_wall(wall)
-            if cycle in points and cycle % self.period_ms == 0:
-                hand = PageInput(True, *wanted(cycle), 0, cycle, now_ns)
-                self.device.handle_input(hand)
-            yield cycle
-
-
 def wanted(cycle):
     """Free motion and hard taps on the wall, then a press beyond what the muscles can."""
     t = cycle / 1000
     if cycle < PRESS:
         return 0.6 * sin(2 * pi * 0.7 * t), 0.5 * sin(2 * pi * 0.4 * t)
     return 0.95, 0.1
-
-
-@pytest.mark.parametrize(
-    ("delay_ms", "period_ms", "mediated"), [(0, 17, False), (100, 1, False), (100, 4, True)]
-)
-def test_no_energy_is_made_and_the_press_comes_to_rest(delay_ms, period_ms, mediated):
-    hand = Moved(delay_ms, period_ms=period_ms, mediated=mediated)
-    joystick, robot, sides = hand.device.joystick, hand.robot, (hand.pair.space, hand.pair.ground)
-    ports = [side.controller.port for side in sides]
-    touches, rest = 0, []
-    work_j = flow_j = 0.0
-    for cycle in hand.cycles(RELEASED):
-        if cycle == BEGUN:
-            work_j, flow_j = joystick.work_j, ports[0].out_j - ports[0].in_j
-        touches += robot.contact
-        if cycle >= RELEASED - 500:
-            rest.append((hand.pair.space.force_x_n, robot.force_n))
-    hand.pair.assert_passive()
-    assert touches > 1_000
-    felt, pushed = zip(*rest, strict=True)
-    assert max(pushed) > 3.0 and min(felt) < -2.0
-    assert max(pushed) - min(pushed) < 0.5 and max(felt) - min(felt) < 0.5
-    if not mediated:
-        assert sum(port.out_j for port in ports) <= sum(port.in_j for port in ports) + 1e-6
-        # What the port counts is what the motors did, but for the last cycle.
-        counted_j = ports[0].out_j - ports[0].in_j - flow_j
-        assert joystick.work_j - work_j == pytest.approx(counted_j, abs=0.01)
-
-
-@pytest.mark.rule("S4")
-@pytest.mark.parametrize(
-    ("delay_ms", "way", "released"),
-    [(0, "button", TAPS + 250), (100, "silence", TAPS + 900), (100, "button", RELEASED)],
-)
-def test_the_robot_comes_to_rest_when_the_hand_is_released(delay_ms, way, released):
-    hand = Moved(delay_ms)
-    robot, handle = hand.robot, hand.handle
-    settled = None
-    for cycle in hand.cycles(released + 3_000, points=range(BEGUN, released)):
-        if BEGUN + 2 <= cycle < released:
-            assert handle.dead_man
-        elif cycle == released and way == "button":
-            off = PageInput(False, 0.9, 0.9, 0, cycle, cycle * NS_PER_MS)
-            hand.device.handle_input(off)
-        elif cycle > released + 101:
-            assert not handle.dead_man and handle.force_limit_n == 0.0
-        if cycle == released + 1_500 + 2 * delay_ms:
-            settled = robot.x_m, robot.y_m
-        elif settled is not None:
-            # A pressed wall pushes the tip back a little.
-            assert hypot(robot.x_m - settled[0], robot.y_m - settled[1]) < 0.002
-    assert hypot(robot.vx_m_s, robot.vy_m_s) < 1e-3 and robot.force_n < 0.1
-    assert handle.operation.state is JoystickState.APPLICATION
-
-
-@pytest.mark.rule("10")
-def test_no_input_moves_the_robot_without_the_dead_man_button():
-    hand, random = Moved(10), Random(7)
-    wild = [0.0, 1.0, -1.0, 2.0, 1e300, nan, inf, -inf]
-    old = [PageInput(True, 0.1 * k, 0.0, 0, k, k) for k in range(9)]
-    before = None
-    for cycle in hand.cycles(6_000, points=()):
-        if cycle == BEGUN - 100:
-            for each in (*old, PageInput(False, 0.0, 0.0, 0, 9, 9)):
-                hand.device.handle_input(each)
-        elif cycle >= BEGUN:
-            x, y = random.choice(wild), random.choice(wild)
-            off = PageInput(False, x, y, 15, random.randrange(1 << 32), cycle * NS_PER_MS)
-            stray = PageInput(True, 3.0 * x or 2.0, y, 15, cycle, cycle * NS_PER_MS)
-            late = PageInput(True, 0.5, 0.5, 0, cycle, cycle * NS_PER_MS)
-            hand.device.handle_input(random.choice([off, stray, random.choice(old)]))
-            hand.device.handle_input(late, random.randrange(100, 10_000) * NS_PER_MS)
-            assert not hand.handle.dead_man
-        if cycle == BEGUN + 500:
-            before = hand.robot.x_m, hand.robot.y_m
-    assert (hand.robot.x_m, hand.robot.y_m) == pytest.approx(before, abs=1e-6)

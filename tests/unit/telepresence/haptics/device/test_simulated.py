@@ -2,7 +2,6 @@
 
 import pytest
 
-from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.axes import AxisReading
 from telepresence.haptics.device.device import KEEPS_FORCE_NS
 from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
@@ -142,18 +141,3 @@ def test_a_force_on_an_axis_moves_it_and_no_other():
     assert z[:2] == (0.0, 0.0) and yaw.place > 0.0 and yaw.speed > 0.0
     with pytest.raises(ValueError, match="zip"):
         device.write_more_forces([1.0])
-
-
-@pytest.mark.parametrize("ends", ["silence", "close"])
-def test_motors_that_are_told_nothing_more_fall_silent(ends):
-    device = SimulatedDevice(axes=("z",))
-    device.write_force(0.0, 0.0)
-    device.write_more_forces([5.0])
-    for _ in range(40):
-        device.advance(NS_PER_MS)
-    assert device.read_more()[0].speed > 0.05
-    if ends == "close":
-        device.close()
-    for _ in range(20 if ends == "close" else 150):
-        device.advance(NS_PER_MS)
-    assert device.read_more()[0].speed < 0.03

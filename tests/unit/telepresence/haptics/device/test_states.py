@@ -3,7 +3,6 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from telepresence.haptics import sample
 from telepresence.haptics.device.states import (
     TRANSITIONS,
     JoystickEvent,
@@ -58,11 +57,3 @@ def test_a_refusal_says_what_is_allowed():
     assert machine.next_event().event is JoystickEvent.SELF_TEST_PASSED
     assert machine.next_event().reason == "smoke"
     assert machine.next_event() is None
-
-
-def test_the_numbers_are_those_that_the_samples_carry():
-    names = (
-        "INIT STANDBY CALIBRATED APPLICATION HALTED CALIBRATION_ERROR RECOVERABLE_ERROR FATAL_ERROR"
-    )
-    carried = [getattr(sample, f"STATE_{name}") for name in names.split()]
-    assert list(JoystickState) == carried == [*range(8)]

@@ -108,15 +108,6 @@ def test_an_old_wall_and_one_of_a_robot_that_is_not_felt_fade_out():
     assert steps(renderer, [0.07] * 100, felt=False)[-1] == 0.0
 
 
-def test_a_wall_that_softens_under_load_waits_for_energy_instead_of_dropping():
-    renderer = in_contact(RendererModel(start_j=0.0005))
-    renderer.handle_wall(WallMessage(2, Wall(0.0, 0.03, 200.0)))
-    forces = steps(renderer, [0.07] * 300)
-    assert min(forces) >= forces[0] - 0.2
-    renderer.handle_flow(-0.5)
-    assert steps(renderer, [0.07] * 500)[-1] == pytest.approx(0.04 * 1000.0 / 6.0, rel=0.03)
-
-
 @pytest.mark.parametrize("degrees", [30, 137, 270])
 def test_a_slanted_wall_pushes_along_its_normal_only(degrees):
     angle = radians(degrees)

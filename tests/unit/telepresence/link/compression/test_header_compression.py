@@ -25,18 +25,10 @@ from telepresence.link.flows import video_flow, voice_flow
 
 FORMS = RtpForms(video_flow("video"), 1_000_000)
 SHORT = 1
-
-
 VIDEO, VOICE = video_flow("video"), voice_flow("voice")
-
-
 FLEETING_SLOTS, LIFE_SLOTS = FLEETING_LIFE_NS // SLOT_NS, LIFE_NS // SLOT_NS
-
-
 FLOWS = pytest.mark.parametrize("flow", [VIDEO, VOICE], ids=["video", "voice"])
 HEARD = pytest.mark.parametrize("heard", [True, False], ids=["two-way", "one-way"])
-
-
 #: Largest mean cost of each source in octets a packet, with tag, contexts and first packets.
 SOURCES = {
     "down, on its grid": (VIDEO, 2.0, lambda r: video(r, 60, packets=(3,), wait_ms=(8, 12))),
@@ -72,60 +64,6 @@ def test_whole_headers_come_until_a_context_is_held_and_one_way_a_few():
     kinds = [path.send(*item) for item in islice(voice(Random(1), 1, jitter_ms=0), 6)]
     whole = [KIND_CONTEXT] + [KIND_RAW] * (FIRST_WHOLE - 1)
     assert kinds == whole + [KIND_BARE] * 3
-
-
-@pytest.mark.parametrize("gap_s", [0.1, 10, 600])
-@FLOWS
-@pytest.mark.parametrize("deaf", [False, True], ids=["hearing", "deaf"])
-def test_first_packet_after_any_gap_is_exact(flow, gap_s, deaf):
-    """Two-way before; during the gap nothing arrives in one direction, or in both."""
-    path = Path(flow)
-    start, end = 5000, 5000 + round(gap_s * 1000)
-    seconds = gap_s + 15
-    source = video(Random(2), seconds, jitter_ms=1) if flow is VIDEO else voice(Random(2), seconds)
-    for count, packet in source:
-        lost = start <= count < end
-        # The peer is heard again only after the packets that were sent first have arrived.
-        path.hear(not (deaf and start <= count < end + 300))
-        path.send(count, packet, arrives=not lost, told=not lost)
-    assert any(count >= end for count, _, _ in path.outcomes)
-    assert all(exact for _, _, exact in path.outcomes)
-
-
-def test_one_way_the_first_packet_after_ten_seconds_is_exact_and_later_one_waits_for_a_context():
-    for flow, source in ((VIDEO, video(Random(3), 30)), (VOICE, voice(Random(3), 30))):
-        path = Path(flow, heard=False)
-        for count, packet in source:
-            path.send(count, packet, arrives=not 5000 <= count < 15_000)
-        assert all(exact for _, _, exact in path.outcomes)
-    path = Path(VOICE, heard=False)
-    for count, packet in voice(Random(3), 60):
-        path.send(count, packet, arrives=not 5000 <= count < 35_000)
-    dropped = [count for count, _, exact in path.outcomes if not exact]
-    assert 0 < max(dropped) < 35_000 + 1000 + 20
-
-
-def test_a_restarted_source_sends_whole_headers_until_its_context_is_held():
-    path = Path(VIDEO)
-    for count, packet in video(Random(1), 5):
-        path.send(count, packet)
-    kinds = [path.send(count + 6000, packet) for count, packet in video(Random(2), 5)]
-    assert kinds[0] in (KIND_RAW, KIND_CONTEXT)
-    assert KIND_CONTEXT in kinds[:5]
-    assert all(kind >= KIND_BARE for kind in kinds[10:20])
-    assert all(exact for _, _, exact in path.outcomes)
-
-
-def test_a_restarted_peer_gets_whole_headers_once_the_restart_is_known():
-    path = Path(VOICE)
-    for number, (count, packet) in enumerate(voice(Random(1), 10)):
-        if number == 200:  # at about 5000
-            path.receiver_restarts(count, 300)
-        path.send(count, packet)
-    dropped = [count for count, _, exact in path.outcomes if not exact]
-    assert dropped
-    assert max(dropped) < 5000 + 300 + 60
-    assert path.outcomes[-1][1] == KIND_BARE
 
 
 def test_whole_headers_again_as_soon_as_the_peers_new_life_is_known():
@@ -288,17 +226,6 @@ def test_garbage_is_reported_in_one_word():
     assert decompressor.decompress(5, b"", 0) == "malformed"
     assert decompressor.decompress(8, b"", 0) == "malformed"
     assert decompressor.decompress(12, b"1", 0) == "malformed"
-
-
-def test_a_slow_start_costs_no_additional_headers():
-    """Of ten pictures in the first third of a second two are encoded, the first 200 ms late."""
-    waits_ms = {0: 205, 6: 115, 10: 60, 11: 54, 12: 46, 13: 46, 14: 37, 15: 28, 16: 33, 17: 25}
-    path, kinds = Path(VIDEO), []
-    for number, n in enumerate((0, 6, *range(10, 300))):
-        count = 1000 + round(n * 100 / 3) + waits_ms.get(n, 0)
-        kinds.append(path.send(count, rtp(number, n * 3000, marker=1)))
-    assert all(exact for _, _, exact in path.outcomes)
-    assert kinds.count(KIND_RAW) + kinds.count(KIND_CONTEXT) <= 15
 
 
 def blocks(seconds):

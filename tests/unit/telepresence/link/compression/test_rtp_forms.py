@@ -18,17 +18,9 @@ from telepresence.link.compression.rtp_forms import (
 from telepresence.link.flows import video_flow, voice_flow
 
 VIDEO = video_flow("video")
-
-
 SLOT_NS = 1_000_000
-
-
 FORMS = RtpForms(video_flow("video"), SLOT_NS)
-
-
 BARE, SHORT, NEAR, LONG, WIDE, NONE = range(6)
-
-
 #: 30 pictures a second of one packet each, 3000 ticks apart, sent at frame 1000.
 CONTEXT = HeaderContext(
     number=5,
@@ -44,8 +36,6 @@ CONTEXT = HeaderContext(
     index=3,
     lead=-3,
 )
-
-
 CONTEXT_HEX = "05 e0 fffe fffff000 11223344 02ee00 10 fffe dd"
 
 

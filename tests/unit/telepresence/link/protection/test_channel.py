@@ -32,11 +32,7 @@ from telepresence.link.protection.datagrams import (
 from telepresence.link.protection.identity import MachineKey
 
 STRANGER_KEY = MachineKey.from_seed(bytes([2] * 32))
-
-
 STRANGER = ("203.0.113.9", 4000)
-
-
 BOTH = pytest.mark.parametrize("name", ["ground", "space"])
 CALLED = pytest.mark.parametrize("space_called", [False, True], ids=["both know", "ground waits"])
 
@@ -167,24 +163,6 @@ def test_a_restarted_end_is_found_again_and_earlier_sessions_stay_closed(name, s
     assert not any(each.of(HandshakeFailed) for each in pair.ends)
     for each in pair.ends:
         assert_counted_once(each)
-
-
-def test_everything_replayed_into_the_living_session_is_dropped():
-    pair = connected().run(3)
-    heard = list(pair.recorded)
-    pair.run(0.1)
-    got = [len(end.got) for end in pair.ends]
-    for sender, datagram in heard:
-        other = pair.space if sender is pair.ground else pair.ground
-        pair.inject(datagram, STRANGER, other.address)
-    pair.run(1)
-    assert [len(end.got) for end in pair.ends] == [count + 200 for count in got]
-    assert not any(end.of(PeerMoved) or end.of(HandshakeFailed) for end in pair.ends)
-    dropped = [end.channel.figures.dropped for end in pair.ends]
-    knocks = sum(datagram[0] == KNOCK for _, datagram in heard)
-    assert sum(sum(each.values()) for each in dropped) == len(heard) - knocks
-    assert {*pair.ground.dropped, *pair.space.dropped} == {"replayed", "stale"}
-    assert_nothing_lost(pair)
 
 
 @BOTH
@@ -332,19 +310,6 @@ def test_late_datagrams_of_a_peer_that_restarted_do_not_disturb_its_new_attempt(
     pair.blocks = lambda end, datagram: False
     pair.run(2)
     assert sessions(pair) == [1, 1]
-
-
-def test_a_handshake_is_silent_when_both_ends_know_that_it_is_complete():
-    pair = ProtectedPair()
-    # No record may tell an end that the other one has the keys.
-    pair.blocks = lambda end, datagram: is_record(datagram)
-    pair.start()
-    while not all(end.of(SessionBegun) for end in pair.ends):
-        pair.step()
-    pair.run(0.1)
-    before = len(pair.recorded)
-    pair.run(1.0)
-    assert all(is_record(datagram) for _, datagram in pair.recorded[before:])
 
 
 def test_a_silent_peer_is_asked_for_new_keys_after_two_seconds_unless_it_returns():

@@ -109,11 +109,7 @@ def test_a_key_is_not_used_for_ever(monkeypatch):
 
 
 ONE, TWO, THREE = (MachineKey.from_seed(bytes([n] * 32)).identity for n in range(3))
-
-
 CODEC = SegmentCodec(ONE, TWO)
-
-
 SEGMENT = HandshakeSegment(True, b"sendernn", b"receiver", 7, 9, b"octets")
 
 

@@ -12,12 +12,8 @@ from kontur_av.errors import ConfigError
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
 
 KEY = MachineKey.from_seed(bytes(32))
-
-
 #: RFC 8032 section 7.1, test 1: seed and public key.
 SEED = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")
-
-
 PUBLIC = bytes.fromhex("d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a")
 
 

@@ -10,8 +10,6 @@ from telepresence.link.radio import load_radio
 from telepresence.link.radio.contact import Contact, ContactFading, FadingCurve
 
 MS = 1_000_000
-
-
 #: Shorter ones are bursts of errors; from this length on a link notices a loss of signal.
 DROP_OUT = 50
 

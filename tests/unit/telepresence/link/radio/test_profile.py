@@ -17,11 +17,7 @@ from telepresence.link.radio.profile import (
 )
 
 PROFILE = RadioProfile(name="mine", delay_ms=10.0)
-
-
 BURSTS = Bursts(gap_s=1.0, mean_ms=5.0)
-
-
 RANDOM = RandomBlackouts(gap_s=9.0, shortest_s=1.0, longest_s=2.0)
 
 

@@ -23,14 +23,8 @@ from telepresence.link.supervision.message import (
 )
 
 MS, S = 1_000_000, 1_000_000_000
-
-
 TIMING = SupervisionTiming()
-
-
 words, longs = st.integers(0, 65535), st.integers(0, (1 << 24) - 1)
-
-
 MESSAGES = st.builds(
     SupervisionMessage,
     st.integers(1, 15),

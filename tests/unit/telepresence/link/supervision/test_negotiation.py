@@ -12,8 +12,6 @@ from telepresence.link.supervision.message import (
 from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation, Proof
 
 MS, S = 1_000_000, 1_000_000_000
-
-
 TIMING = SupervisionTiming()
 
 
