@@ -87,23 +87,16 @@ def test_each_picture_is_counted_once():
         received(SLICE, 3, timestamp=2, lost_before=1),
         received(b"\x7f", 4, timestamp=3),
         # The first part of a slice, then the picture's second slice.
-        received(PARTS[0], 5, timestamp=4, marker=False),
-        received(LATER_SLICE, 7, timestamp=4, lost_before=1),
+        received(PARTS[0], 5, timestamp=4, marker=False, received_ns=100),
+        received(LATER_SLICE, 7, timestamp=4, lost_before=1, received_ns=107),
     ]
     units = through(packets, depacketizer)
     assert [(unit.timestamp, unit.damaged, unit.lost_before) for unit in units] == [
         *((0, False, 0), (2, False, 1), (4, True, 0))
     ]
+    assert [(unit.first_received_ns, unit.received_ns) for unit in units][-1] == (100, 107)
     counts = depacketizer.units, depacketizer.units_damaged, depacketizer.garbage
     assert counts == (3, 1, 1)
-
-
-def test_a_unit_tells_when_its_first_and_its_last_packet_came():
-    last = len(PARTS) - 1
-    (unit,) = through(
-        received(part, n, received_ns=100 + n, marker=n == last) for n, part in enumerate(PARTS)
-    )
-    assert (unit.first_received_ns, unit.received_ns) == (100, 100 + last)
 
 
 def test_a_picture_joined_in_its_middle_is_damaged():
@@ -117,28 +110,33 @@ def test_a_picture_joined_in_its_middle_is_damaged():
         assert unit.damaged
 
 
-def test_a_picture_that_is_lost_with_its_first_packet_is_a_loss_before_the_next():
-    parts = H264.packetize([LONG + LONG], 30)
+def test_losses_damage_the_picture_that_they_fall_into_or_count_for_the_next_one():
     packets = [
-        received(SLICE, 0, timestamp=0),
-        # The first part is lost. The others belong to no NAL unit.
-        *(
-            received(part, 2 + n, timestamp=1, marker=n == len(parts) - 2, lost_before=n == 0)
-            for n, part in enumerate(parts[1:])
-        ),
-        received(SLICE, 9, timestamp=2),
-        # Its successor has no loss before it.
-        received(SLICE, 10, timestamp=3),
-    ]
+        received(SLICE, 0, marker=False),
+        received(LATER_SLICE, 2, lost_before=1),
+        received(SLICE, 3, timestamp=3000, marker=False),
+        # The end of the second and the beginning of the third are lost.
+        received(LATER_SLICE, 6, timestamp=6000, lost_before=2),
+        received(SLICE, 7, timestamp=9000),
+        # Packets without content.
+        received(b"", 9, timestamp=12_000, lost_before=1),
+        received(b"\0", 11, timestamp=12_000, lost_before=1),
+        received(SLICE, 13, timestamp=12_000, lost_before=1),
+        received(SLICE, 14, timestamp=15_000),
+        # Without their first part the others belong to no NAL unit.
+        *(received(part, 16 + n, timestamp=18_000, marker=n == 1, lost_before=n == 0)
+          for n, part in enumerate(PARTS[1:])),
+        received(SLICE, 18, timestamp=21_000),
+    ]  # fmt: skip
     units = through(packets)
-    assert [(unit.timestamp, unit.lost_before) for unit in units] == [(0, 0), (2, 1), (3, 0)]
-
-
-def test_a_picture_of_the_old_source_is_damaged_by_a_restart():
+    assert [(unit.timestamp // 3000, unit.damaged, unit.lost_before) for unit in units] == [
+        *((0, True, 0), (1, True, 0), (2, True, 2), (3, False, 0), (4, False, 3), (5, False, 0)),
+        (7, False, 1),
+    ]
+    # A restart damages the picture of the old source.
     parts = H264.packetize([SLICE, LONG], 20)
     packets = [received(parts[0], 0, marker=False), received(SLICE, 900, ssrc=9, restart=True)]
-    units = through(packets)
-    assert [(unit.data, unit.damaged) for unit in units] == [
+    assert [(unit.data, unit.damaged) for unit in through(packets)] == [
         *((join_annex_b([SLICE]), True), (join_annex_b([SLICE]), False))
     ]
 
@@ -202,25 +200,6 @@ def test_a_sender_that_marks_each_slice_costs_no_picture():
     units = through(sent[:6], marked=True)
     assert nals(units)[-2:] == [[SLICE, LATER_SLICE]] * 2
     assert not units[-1].damaged
-
-
-def test_losses_damage_the_picture_that_they_fall_into_or_count_for_the_next_one():
-    packets = [
-        received(SLICE, 0, marker=False),
-        received(LATER_SLICE, 2, lost_before=1),
-        received(SLICE, 3, timestamp=3000, marker=False),
-        # The end of the second and the beginning of the third are lost.
-        received(LATER_SLICE, 6, timestamp=6000, lost_before=2),
-        received(SLICE, 7, timestamp=9000),
-        # Packets without content.
-        received(b"", 9, timestamp=12_000, lost_before=1),
-        received(b"\0", 11, timestamp=12_000, lost_before=1),
-        received(SLICE, 13, timestamp=12_000, lost_before=1),
-        received(SLICE, 14, timestamp=15_000),
-    ]
-    assert [(unit.damaged, unit.lost_before) for unit in through(packets)] == [
-        *((True, 0), (True, 0), (True, 2), (False, 0), (False, 3), (False, 0))
-    ]
 
 
 @pytest.mark.parametrize("garbage", [b"\x7f", b"\x7c\x01\x88"])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from kontur_av.rtp.repair import MOST_MISSING, LossAsker, PacketHistory
 from kontur_av.rtp.wire import parse_rtcp
 
-MS = 1_000_000
+MS, NS_PER_S = 1_000_000, 1_000_000_000
 
 
 def asker_after(*sequences, ssrc=9):
@@ -123,6 +123,11 @@ def test_a_quarter_of_a_second_is_repeated_and_16000_octets_always():
     history = sent(400)
     again = [len(history.handle_lost(list(range(400)), 2 * MS * round_)) for round_ in range(100)]
     assert sum(again) <= 100
+    # Earlier seconds count by half, and by half again: 25, 50 and 100 thousand octets.
+    history = PacketHistory()
+    for number in range(300):
+        history.handle_sent(number, bytes(1000), number // 100 * NS_PER_S)
+    assert len(history.handle_lost(list(range(200, 300)), 2 * NS_PER_S)) == 43
     # The next second has a quarter of its own, and half of that of the one before.
     history = sent(400, at_ns=900 * MS)
     for numbers, at_ms, repeated in ((128, 950, 100), (256, 999, 0), (256, 1000, 50)):

@@ -51,12 +51,14 @@ def test_a_capture_that_the_packets_tell_is_dated_without_a_report():
     # The sender's reports say something else, such as when it was sent.
     receiver.handle_report(reported()[1], 0)
     assert receiver.capture_ns(received[0].timestamp) == pytest.approx(0, abs=TICK_NS)
-
-
-def test_octets_of_the_extension_are_no_payload():
+    # Octets of the extension are no payload.
     rtp = make_sender(capture_time_id=3)
     rtp.video_packets(picture(0))
     assert rtp.payload_octets_sent == 102
+    # An element that is longer than the extension, or one of another length, dates nothing.
+    receiver, (packet, following) = make_receiver(capture_time_id=3), singles(2, capture_time_id=3)
+    feed(receiver, [*(packet[:16] + head + packet[17:] for head in (b"\x3f", b"\x36")), following])
+    assert receiver.capture_ns(0) is None
 
 
 def test_the_first_packet_of_a_source_is_dated_by_the_capture_it_tells():
@@ -66,14 +68,6 @@ def test_the_first_packet_of_a_source_is_dated_by_the_capture_it_tells():
     assert receiver.capture_ns(one.timestamp) == pytest.approx(0, abs=TICK_NS)
     receiver.handle_packet(stranger, 0)
     assert receiver.capture_ns(one.timestamp) == pytest.approx(0, abs=TICK_NS)
-
-
-def test_extensions_that_are_none_date_nothing():
-    receiver = make_receiver(capture_time_id=3)
-    packet, following = singles(2, capture_time_id=3)
-    # An element that is longer than the extension, and one of another length.
-    feed(receiver, [*(packet[:16] + head + packet[17:] for head in (b"\x3f", b"\x36")), following])
-    assert receiver.capture_ns(0) is None
 
 
 def test_only_the_source_keeps_its_report_and_one_candidate():
@@ -139,28 +133,21 @@ def test_captures_never_run_back_though_reports_waver_and_a_clock_that_was_set_i
     assert late_ns == pytest.approx(9 * 7919 % 151 * MS, abs=20_000)
 
 
-def test_an_unknown_or_foreign_report_gives_no_capture_time():
-    receiver = make_receiver()
-    feed(receiver, singles(3))
-    assert receiver.capture_ns(0) is None
-    receiver.handle_report(reported(ssrc=9)[1], 0)
-    assert receiver.capture_ns(0) is None
-    assert (receiver.counts.garbage, receiver.counts.rtcp_reports) == (1, 0)
-
-
 def test_only_a_sender_report_of_the_source_dates_its_pictures():
     receiver, report, foreign = make_receiver(), reported()[1], reported(ssrc=9)[1]
     receiver_report = struct.pack("!BBHI", 0x80, 201, 1, 1)
     assert receiver.handle_report(foreign, 0)  # nobody knows yet whose stream it will be
     feed(receiver, singles(3))
-    assert receiver.handle_report(report, 0)
+    assert receiver.capture_ns(0) is None
     assert not receiver.handle_report(receiver_report, 0)
-    assert receiver.counts.garbage == 0
+    assert (receiver.counts.garbage, receiver.capture_ns(0)) == (0, None)
     description, application = report[28:], struct.pack("!BBHII", 0x80, 204, 2, 1, 0x41424344)
     foreign_goodbye = struct.pack("!BBHI", 0x81, 203, 1, 9)
     for count, datagram in enumerate((description, application, foreign, foreign_goodbye), 1):
         assert not receiver.handle_report(datagram, 0)
-        assert receiver.counts.garbage == count
+        assert (receiver.counts.garbage, receiver.capture_ns(0)) == (count, None)
+    assert receiver.handle_report(report, 0)
+    assert receiver.capture_ns(0) is not None
     assert (receiver.counts.rtcp_reports, receiver.ended) == (1, False)
 
 

@@ -6,7 +6,6 @@ from rtp_packets import make_sender
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 
@@ -77,22 +76,6 @@ def test_without_reduced_size_a_report_precedes_what_asks_for_a_key_picture(redu
     for _, answer in path.answers:
         assert [type(each) for each in answer] == [*before, RtcpPsfbPacket]
     assert path.answers
-
-
-def test_reports_of_this_software_ask_for_no_key_picture():
-    path = Path()
-    # A picture came before, so none is asked for.
-    path.receiver.handle_picture(0, 64, 48, None)
-    path.send(range(3), reports=False)
-    assert path.receiver.poll_timeout() is None
-    path.receiver.handle_report(path.rtp.poll_report(0), 0)
-    report = path.receiver.poll_feedback(0)
-    listener = PictureLossListener(ssrc=9)
-    listener.handle_feedback(report, 0)
-    assert not listener.take(0) and listener.heard_ns == 0
-    # The same report of a player that sends no PLI does.
-    listener.handle_feedback(bytes(RtcpPacket.parse(report)[0]).replace(b"\x05", b"\x06", 1), 0)
-    assert listener.take(0)
 
 
 @pytest.mark.parametrize("rate_hz", RECEIVERS)
