@@ -2,6 +2,8 @@
 
 import ast
 import re
+from collections.abc import Iterator
+from functools import cache
 
 import pytest
 from places import ROOT, imports_of
@@ -88,13 +90,7 @@ SHELLS = {
 PURE_NAMES = {
     "kontur_av/sources/source.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
     "telepresence/haptics/specs.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
-    "kontur_av/clock.py": {
-        "NS_PER_MS",
-        "NS_PER_S",
-        "NS_PER_US",
-        "ntp_from_unix_ns",
-        "unix_ns_from_ntp",
-    },
+    "kontur_av/clock.py": words("NS_PER_MS NS_PER_S NS_PER_US ntp_from_unix_ns unix_ns_from_ntp"),
 }
 
 #: Modules that a core may import: they compute, and do no I/O.
@@ -184,17 +180,12 @@ def is_shell(module: str) -> bool:
 def names_from_shells(module: str) -> set[str]:
     """What a module imports from shells, within functions too, but for `PURE_NAMES`."""
     found: set[str] = set()
-    for node in imports_of(ROOT / module):
-        if isinstance(node, ast.Import):
-            pairs = [(alias.name, "") for alias in node.names]
-        else:
-            # `from package import module` imports a module, too.
-            pairs = [(f"{node.module}.{alias.name}", "") for alias in node.names]
-            pairs += [(node.module or "", alias.name) for alias in node.names]
-        for package, name in pairs:
-            file = package.replace(".", "/") + ".py"
-            if is_shell(file) and name not in PURE_NAMES.get(file, ()):
-                found.add(f"{package}.{name}")
+    for package, name in imports(module):
+        # `from package import module` imports a module, too.
+        for place, what in ((package, name), (f"{package}.{name}", "")):
+            file = place.replace(".", "/") + ".py"
+            if is_shell(file) and what not in PURE_NAMES.get(file, ()):
+                found.add(f"{place}.{what}")
     return found
 
 
@@ -203,16 +194,21 @@ def modules() -> list[str]:
     return sorted(path.relative_to(ROOT).as_posix() for path in found)
 
 
-def imported(module: str) -> set[str]:
-    """Top-level names of all packages that a module imports, within functions too."""
-    names: set[str] = set()
+def imports(module: str) -> Iterator[tuple[str, str]]:
+    """(module, name or "") of each import, within functions too."""
     for node in imports_of(ROOT / module):
-        if isinstance(node, ast.Import):
-            names |= {alias.name.partition(".")[0] for alias in node.names}
-        else:
-            # A relative import would hide where it leads.
-            names.add((node.module or "").partition(".")[0] if not node.level else ".")
-    return names
+        for alias in node.names:
+            if isinstance(node, ast.Import):
+                yield alias.name, ""
+            else:
+                # A relative import would hide where it leads.
+                yield node.module or "." if not node.level else ".", alias.name
+
+
+@cache
+def imported(module: str) -> set[str]:
+    """Top-level names of all packages that a module imports."""
+    return {name.partition(".")[0] or "." for name, _ in imports(module)}
 
 
 @pytest.mark.rule("1")
@@ -235,14 +231,8 @@ def test_nothing_imports_the_benchmarks():
 
 def rooms_of_pipelines(module: str) -> set[str]:
     """The rooms of `pipelines` that a module imports, within functions too."""
-    names: set[str] = set()
-    for node in imports_of(ROOT / module):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        else:
-            names |= {f"{node.module}.{alias.name}" for alias in node.names}
-    found = {tuple(name.split(".")[:2]) for name in names}
-    return {room for package, *rest in found for room in rest if package == "pipelines"}
+    found = (f"{package}.{name}".split(".") for package, name in imports(module))
+    return {room for package, room, *_ in found if package == "pipelines"}
 
 
 @pytest.mark.rule("1")
@@ -291,10 +281,7 @@ def test_cores_import_no_shell():
 
 def cores_imported(module: str) -> set[str]:
     """The cores that a module imports and that are driven with `now_ns`."""
-    names: set[str] = set()
-    for node in imports_of(ROOT / module):
-        if isinstance(node, ast.ImportFrom):
-            names |= {node.module or "", *(f"{node.module}.{one.name}" for one in node.names)}
+    names = {one for package, name in imports(module) for one in (package, f"{package}.{name}")}
     files = {name.replace(".", "/") + ".py" for name in names} & {*modules()}
     return {
         file

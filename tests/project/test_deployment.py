@@ -26,16 +26,13 @@ def test_systemd_takes_the_unit(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_the_script_makes_the_clip(tmp_path):
+def test_the_script_makes_the_documents_clip_which_is_in_the_package(tmp_path, monkeypatch):
     script = ROOT / "samples" / "make_clip.py"
     subprocess.run([sys.executable, script, tmp_path], check=True, timeout=60)
     made, kept = (folder / "clip.mp4" for folder in (tmp_path, ROOT / "samples"))
     for path in (made, kept):
         with av.open(str(path)) as container:
             assert len(list(container.decode(video=0))) == 60
-
-
-def test_the_documents_clip_is_in_the_package(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     check_spec("clip.mp4", "video")
     (tmp_path / "clip.mp4").write_text("a file of one's own goes first")

@@ -13,42 +13,16 @@ PACKAGES = ("kontur_av", "telepresence", "pipelines")
 
 #: Calls that change the whole process, by the end of their dotted names.
 SETTERS = {
-    "catch_warnings",
-    "chdir",
-    "gc.collect",
-    "gc.disable",
-    "gc.enable",
-    "gc.freeze",
-    "gc.set_threshold",
-    "gc.unfreeze",
-    "mallopt",
-    "mlockall",
-    "nice",
-    "np.random.seed",
-    "np.seterr",
-    "os.putenv",
-    "os.umask",
-    "prctl",
-    "pthread_sigmask",
-    "random.seed",
-    "sched_setaffinity",
-    "sched_setscheduler",
-    "set_start_method",
-    "set_wakeup_fd",
-    "setNumThreads",
-    "setUseOptimized",
-    "setdefaulttimeout",
-    "setitimer",
-    "setlocale",
-    "setpriority",
-    "setprofile",
-    "setrecursionlimit",
-    "setrlimit",
-    "setswitchinterval",
-    "settrace",
-    "signal.signal",
-    "simplefilter",
-    "stack_size",
+    name
+    for line in (
+        "catch_warnings chdir gc.collect gc.disable gc.enable gc.freeze gc.set_threshold",
+        "gc.unfreeze mallopt mlockall nice np.random.seed np.seterr os.putenv os.umask prctl",
+        "pthread_sigmask random.seed sched_setaffinity sched_setscheduler set_start_method",
+        "set_wakeup_fd setNumThreads setUseOptimized setdefaulttimeout setitimer setlocale",
+        "setpriority setprofile setrecursionlimit setrlimit setswitchinterval settrace",
+        "signal.signal simplefilter stack_size",
+    )
+    for name in line.split()
 }
 
 #: Who may call them: a command, the launcher, and what runs first in a process of its own.
@@ -67,27 +41,16 @@ ALLOWED = {
     "pipelines/partner/whip.py": {"_relay"},
     "pipelines/recording/live_output.py": {"_write"},
     "pipelines/virtual/simulate.py": {"_run"},
-    "pipelines/session/launcher.py": {
-        "Launcher.run",
-        "Launcher._start",
-        "Launcher._become_child",
-        "load_libraries",
-        "keep_memory",
-    },
+    "pipelines/session/launcher.py": {"load_libraries", "keep_memory"}
+    | {f"Launcher.{name}" for name in ("run", "_start", "_become_child")},
     "pipelines/session/process.py": {"become", "take_realtime", "Collections.handle_flush"},
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
     # In a program of its own, before it begins.
     "pipelines/upkeep/desk.py": {"_end_with_the_keeper"},
 }
 #: Functions among them that others call by these names.
-CALLED = {
-    "switch_threads_often",
-    "load_libraries",
-    "keep_memory",
-    "become",
-    "stopped_by_signals",
-    "take_realtime",
-}
+CALLED = {"switch_threads_often", "load_libraries", "keep_memory", "become"}
+CALLED |= {"stopped_by_signals", "take_realtime"}
 CONSTRUCTORS = {"__init__", "__new__", "__post_init__"}
 
 

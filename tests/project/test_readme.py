@@ -12,12 +12,8 @@ from places import ROOT
 
 from benchmarks.__main__ import make_parser as make_benchmark_parser
 from pipelines.cli import make_parser
-from pipelines.report.collector import Collector
-from pipelines.report.model import to_builtins
-from pipelines.report.session_report import build_report
-from pipelines.session.setup.setup_file import load_setup, setup_from_table
+from pipelines.session.setup.setup_file import setup_from_table
 from pipelines.session.setup.table import Setup
-from pipelines.table import topology_of
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -66,13 +62,6 @@ def test_the_cli_accepts_every_documented_command(document):
             parser.parse_args(arguments)
 
 
-def test_the_table_of_commands_has_each_command():
-    table = README[README.index("## Commands") : README.index("docs/commands.md")]
-    first = [row.split("|")[1] for row in table.splitlines() if row.startswith("| `")]
-    named = [word.rpartition(" ")[2] for cell in first for word in re.findall(r"`(.*?)`", cell)]
-    assert sorted(named) == sorted(subcommands())
-
-
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_link_leads_to_a_file(document):
     text = document.read_text(encoding="utf-8")
@@ -84,12 +73,13 @@ def test_every_link_leads_to_a_file(document):
     assert not missing
 
 
-def test_every_sample_is_listed():
+def test_every_sample_and_command_is_listed_and_the_test_command_installs_and_tests():
     samples = {path.name for path in (ROOT / "samples").glob("*.py")}
     assert set(re.findall(r"\]\(samples/(\w+\.py)\)", README)) == samples
-
-
-def test_the_test_command_is_an_installation_and_pytest():
+    table = README[README.index("## Commands") : README.index("docs/commands.md")]
+    first = [row.split("|")[1] for row in table.splitlines() if row.startswith("| `")]
+    named = [word.rpartition(" ")[2] for cell in first for word in re.findall(r"`(.*?)`", cell)]
+    assert sorted(named) == sorted(subcommands())
     (command, *_) = blocks(README.split("<!-- command: test -->\n", 1)[1])
     installed = "python3 -m venv .venv && .venv/bin/pip install -q -e '.[dev]' && .venv/bin/pytest"
     assert command.strip() == installed
@@ -108,28 +98,3 @@ def test_the_annotated_setup_is_valid_and_has_every_field():
     assert plain.uplink_video == setup.uplink_video
     assert (plain.uplink, plain.downlink) == (setup.uplink, setup.downlink)
     assert (plain.base_port, plain.radio_delay_ms) == (setup.base_port, 0)
-
-
-def test_every_key_of_the_report_is_in_the_document():
-    text = (ROOT / "docs" / "report.md").read_text(encoding="utf-8")
-    setup = load_setup("spacejustin")
-    report = to_builtins(
-        build_report(
-            Collector(topology_of(setup)),
-            seconds=1,
-            cpu_s={"robot": 0.1},
-            restarts={"robot": 0},
-            launcher_cpu_s=0.1,
-        )
-    )
-    nested = [
-        report,
-        *report["streams"].values(),
-        report["haptic"]["up"],
-        report["link"]["uplink"],
-        report["skew_ms"],
-        report["processes"]["robot"],
-    ]
-    told = set(re.findall(r"`([\w.]+)`", text))
-    told |= {name.partition(".")[0] for name in told}
-    assert {key for table in nested for key in table} - told == set()

@@ -31,19 +31,13 @@ class Heir(Part, frozen=True, kw_only=True):
     other: int
 
 
-def test_each_type_has_a_list_with_types_and_comments():
+def test_each_type_has_a_list_with_types_and_comments_also_those_of_its_base():
     whole, part = keys_tables(Whole).split("\n\n**")
     assert "- `parts` (Part or null, by name): Each one." in whole
     assert "\n- `rate_bps_mean`" in whole
     assert "- `p99.9` (number): How late, at most.\n" in part
     assert "\n- `count`?\n" in part
-
-
-def test_a_subclass_inherits_the_comments_of_its_base():
     assert comments(Heir) == {"late_ms": "How late, at most.", "count": "", "other": "Another one."}
-
-
-def test_every_type_of_the_report_says_what_it_is():
     text = keys_tables(SessionReport)
     assert "**SessionReport**: The report of" in text
     assert "**: \n" not in text

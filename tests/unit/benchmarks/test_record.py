@@ -94,14 +94,9 @@ def test_what_differs_is_found(counted):
     report["recorder"]["channels"]["/events"]["kept"] -= 1
     found = compare(counted, JsonReader(report))
     assert sorted(one.what for one in found if not one.agrees) == [
-        "/events, messages",
-        "haptic_down, latency p50",
-        "haptic_down, latency p95",
-        "haptic_up, samples sent",
-        "uplink, frames lost",
-        "uplink_video, units sent",
-        "uplink_voice, latency p50",
-        "uplink_voice, latency p95",
+        *("/events, messages", "haptic_down, latency p50", "haptic_down, latency p95"),
+        *("haptic_up, samples sent", "uplink, frames lost", "uplink_video, units sent"),
+        *("uplink_voice, latency p50", "uplink_voice, latency p95"),
     ]
 
 

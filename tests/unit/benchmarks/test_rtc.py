@@ -15,17 +15,12 @@ from pipelines.report.result import spread
 
 
 def session(leg, p99, lost=0):
-    return SessionRun(
-        leg=leg,
-        latency_ms={"uplink_video": {"p50": 40.0, "p99": p99}},
-        force_ms={"p50": 1.0, "p99": 2.0},
-        slot_us=80.0,
-        lost=lost,
-        cores=1.3,
-        partner_bps=None if leg == NO_LEG else 1_400_000,
-        partner_lost=None if leg == NO_LEG else 7,
-        failures=(),
-    )
+    partner = {"partner_bps": None, "partner_lost": None}
+    if leg != NO_LEG:
+        partner = {"partner_bps": 1_400_000, "partner_lost": 7}
+    latency_ms = {"uplink_video": {"p50": 40.0, "p99": p99}}
+    known = {"force_ms": {"p50": 1.0, "p99": 2.0}, "slot_us": 80.0, "cores": 1.3, "failures": ()}
+    return SessionRun(leg=leg, latency_ms=latency_ms, lost=lost, **known, **partner)
 
 
 def reception(who, ms):

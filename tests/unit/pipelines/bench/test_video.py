@@ -1,13 +1,10 @@
 """`kontur-av bench video`: marks, channel, figures and targets, without processes."""
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kontur_av.codecs.h26x import H264Decoder, H264Encoder
-from kontur_av.media import CaptureStamp, VideoFrame, planes
 from pipelines.bench.course.ends import ThinChannel, muxed_payload_octets, rtp_payload_octets
 from pipelines.bench.course.marks import (
     NUMBERS,
@@ -17,7 +14,7 @@ from pipelines.bench.course.marks import (
     read_all,
     read_number,
 )
-from pipelines.bench.video.clips import film, scene
+from pipelines.bench.video.clips import film
 from pipelines.bench.video.figures import largest_bps, latest, mean_bps, percentiles, shown
 
 MS, S = 1_000_000, 1_000_000_000
@@ -43,27 +40,6 @@ def test_a_number_is_read_as_it_was_drawn_or_not_at_all(number, square):
         spoilt = squares.copy()
         spoilt[square] = wrong
         assert read_number(spoilt) is None
-
-
-@pytest.mark.parametrize("coded", [(480, 360), (320, 240)])
-def test_numbers_are_read_after_hard_compression_and_in_a_smaller_size(coded):
-    clip = scene(WIDTH, HEIGHT, 30, 60)
-    encoder = H264Encoder(width=coded[0], height=coded[1], fps=30, cap_bps=60_000)
-    decoder = H264Decoder()
-    read = []
-    for number, original in enumerate(clip.pictures):
-        picture = original.copy()
-        draw_number(picture, number + 1000)
-        small = np.empty((coded[1] * 3 // 2, coded[0]), np.uint8)
-        for plane, target in zip(planes(picture), planes(small), strict=True):
-            cv2.resize(plane, target.shape[::-1], dst=target, interpolation=cv2.INTER_AREA)
-        unit = encoder.encode(VideoFrame(small, CaptureStamp(0, number, "test")))
-        for decoded in decoder.decode(unit.data, number):
-            luma = planes(decoded.to_i420())[0]
-            full = cv2.resize(luma, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
-            read.append(read_number(levels(full)))
-    # The first pictures get too few bits for the squares.
-    assert read[5:] == list(range(1005, 1060))
 
 
 @pytest.mark.parametrize(
@@ -110,7 +86,7 @@ def test_the_channel_keeps_order_and_rate_and_is_never_idle_with_a_queue(arrival
         free_ns = departure.due_ns
 
 
-def test_the_payload_is_counted_without_the_header():
+def test_payload_rates_percentiles_and_the_pictures_that_count():
     header = bytes([0x80, 96, *range(10)])
     contributors = bytes([0x82, *header[1:]]) + bytes(8)
     extension = bytes([0x90, *header[1:]]) + bytes([0, 0, 0, 2]) + bytes(8)
@@ -123,9 +99,14 @@ def test_the_payload_is_counted_without_the_header():
     # Sender and receiver reports, STUN, and DTLS.
     for first, second in ((0x80, 200), (0x81, 201), (0, 1), (22, 0xFE)):
         assert muxed_payload_octets(bytes([first, second]) + bytes(60)) is None
-
-
-def test_pictures_of_the_settling_time_do_not_count_and_one_that_never_comes_is_a_gap():
+    # The largest windows slide.
+    came_ns = [0, 950 * MS, 1040 * MS, 1949 * MS]
+    assert largest_bps(came_ns, [100, 200, 300, 400]) == (900 * 8, 500 * 80)
+    came_ns = [0, S // 2, S, 2 * S, 3 * S]
+    assert mean_bps(came_ns, [100, 200, 300, 400, 500], begin_ns=S // 2, seconds=2) == 4 * 900
+    assert percentiles(range(1, 101)) == {"p50": 50, "p95": 95, "p99": 99, "max": 100}
+    assert latest([1, None, 3, 6], 5) == (2, 3)
+    assert latest([None, 3], 2) == (-1, None)
     captured_ns = np.arange(1, 11) * 100 * MS
     shown_ns = {n: int(captured_ns[n]) + (30 + n) * MS for n in (0, 1, 2, 3, 5, 8, 9)}
     found = shown(captured_ns, shown_ns, first=2, fps=10)
@@ -135,17 +116,6 @@ def test_pictures_of_the_settling_time_do_not_count_and_one_that_never_comes_is_
     early = {n: int(captured_ns[n]) + 30 * MS for n in (0, 1, 2)}
     assert shown(captured_ns, early, first=2, fps=10).longest_gap_ms == pytest.approx(770)
     assert shown(captured_ns, {}, first=2, fps=10).longest_gap_ms == float("inf")
-
-
-def test_rates_percentiles_and_the_newest_picture():
-    # The largest windows slide.
-    came_ns = [0, 950 * MS, 1040 * MS, 1949 * MS]
-    assert largest_bps(came_ns, [100, 200, 300, 400]) == (900 * 8, 500 * 80)
-    came_ns = [0, S // 2, S, 2 * S, 3 * S]
-    assert mean_bps(came_ns, [100, 200, 300, 400, 500], begin_ns=S // 2, seconds=2) == 4 * 900
-    assert percentiles(range(1, 101)) == {"p50": 50, "p95": 95, "p99": 99, "max": 100}
-    assert latest([1, None, 3, 6], 5) == (2, 3)
-    assert latest([None, 3], 2) == (-1, None)
 
 
 def test_numbered_pictures_in_one_file_become_a_clip_pixel_by_pixel(tmp_path):

@@ -49,7 +49,7 @@ def test_without_devices_the_other_sources_are_named_and_a_bad_node_with_its_rea
     assert f"v4l2:{tmp_path / 'video0'}" in first and "is no V4L2 device" in first
 
 
-def test_cameras_are_listed_by_number_and_with_formats(tmp_path):
+def test_cameras_are_listed_with_formats_and_only_capture_lines_are_microphones(tmp_path):
     nodes = {"video10": "old", "video0": "own", "video1": "meta", "videoish": ""}
     for name, content in nodes.items():
         (tmp_path / name).write_text(content)
@@ -58,9 +58,6 @@ def test_cameras_are_listed_by_number_and_with_formats(tmp_path):
     assert [(Path(c.path).name, c.card, c.formats) for c in found] == [
         (name, "Good Camera", ("MJPG", "YUYV")) for name in ("video0", "video10")
     ]
-
-
-def test_only_capture_lines_are_microphones(tmp_path):
     (tmp_path / "pcm").write_text(PCM)
     assert [(m.device, m.name) for m in microphones(tmp_path)] == [
         ("plughw:0,0", "ALC257 Analog"),

@@ -111,14 +111,6 @@ def test_a_torn_recording_is_exported_as_far_as_it_can_be_read(recording, capsys
     assert len(loadmat(out, simplify_cells=True)["haptic_up"]["time_s"]) > 500
 
 
-def test_a_copy_of_a_part_is_left_out_of_the_export(recording, capsys):
-    shutil.copy(recording, recording.with_name("a-2.mcap"))
-    out = recording.with_name("out.mat")
-    assert export(recording, "--mat", out) == 0
-    assert "a-2.mcap is left out: part 1 is there already" in capsys.readouterr().err
-    assert loadmat(out, simplify_cells=True)["recording"]["parts"] == 1
-
-
 @pytest.mark.parametrize(
     ("broken", "says"),
     [("write_v5", "No space left on device"), ("find_spec", "pip install 'kontur-av[export]'")],

@@ -5,14 +5,9 @@ import json
 from pipelines.cli import main
 
 
-def test_list_names_the_simulated_one_and_its_faults(capsys):
-    assert main(["joystick", "list"]) == 0
-    out = capsys.readouterr().out
-    assert "sim:weak" in out and "--joystick SPEC" in out
-    assert any(line.startswith("page ") for line in out.splitlines())
-
-
-def test_a_check_prints_its_figures_and_writes_a_report(tmp_path, capsys):
+def test_a_check_prints_its_figures_and_list_names_the_simulated_one_and_its_faults(
+    tmp_path, capsys
+):
     path = tmp_path / "r.json"
     assert main(["joystick", "test", "workspace", "--report", str(path)]) == 0
     assert "right end" in capsys.readouterr().out
@@ -22,6 +17,10 @@ def test_a_check_prints_its_figures_and_writes_a_report(tmp_path, capsys):
     assert check["name"] == "workspace" and len(check["figures"]) == 4
     states = ["standby", "standby", "calibrated", "application"]
     assert [entry["after"] for entry in report["transitions"]] == states
+    assert main(["joystick", "list"]) == 0
+    out = capsys.readouterr().out
+    assert "sim:weak" in out and "--joystick SPEC" in out
+    assert any(line.startswith("page ") for line in out.splitlines())
 
 
 def test_without_a_terminal_no_line_is_broken_and_a_failed_check_is_exit_code_1(

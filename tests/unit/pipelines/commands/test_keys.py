@@ -36,7 +36,7 @@ def mode_of(path):
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_from_a_new_key_to_a_trusted_peer(home, done):
+def test_from_a_new_key_to_a_trusted_peer_and_a_damaged_key_is_not_quoted(home, done, capsys):
     before = os.umask(0)
     try:
         made = done("new")
@@ -55,20 +55,6 @@ def test_from_a_new_key_to_a_trusted_peer(home, done):
     done("forget", THIRD)
     assert done("list") == f"{OTHER}\n"
     assert sorted(path.name for path in home.iterdir()) == ["key.pem", "key.pem.trusted"]
-
-
-def test_each_key_file_has_its_own_trusted_identities(home, tmp_path, done):
-    for name in ("ground.pem", "space.pem"):
-        done("new", "--key", tmp_path / name)
-    space = key_files.read_key(tmp_path / "space.pem").identity
-    done("trust", space, "--key", tmp_path / "ground.pem")
-    assert key_files.pinned_peer(tmp_path / "ground.pem", None) == space
-    assert key_files.trusted_identities(tmp_path / "space.pem") == []
-    assert not home.exists()
-
-
-def test_a_damaged_key_is_not_quoted(home, done, capsys):
-    done("new")
     secret = (home / "key.pem").read_bytes()
     (home / "key.pem").write_bytes(secret.replace(b"BEGIN PRIVATE", b"BEGIN PIRATE"))
     assert main(["keys", "show"]) == 2

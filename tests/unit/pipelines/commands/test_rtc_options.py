@@ -34,9 +34,6 @@ def test_a_lasting_user_of_a_turn_server_has_a_name_and_a_password(watch):
     ):
         with pytest.raises(ConfigError, match=told):
             ice_servers_of(watch(*refused))
-
-
-def test_other_origins_that_get_the_token_are_named_one_by_one(watch):
     args = watch("--token-origin", "https://a.example", "--token-origin", "https://b.example")
     assert [*args.token_origin] == ["https://a.example", "https://b.example"]
     assert not [*watch().token_origin]

@@ -42,17 +42,7 @@ def test_without_a_name_it_stops_all_and_its_release_asks(held, capsys):
     assert stopped(lab, pool) == [True, False]
 
 
-def test_it_holds_for_a_user_without_a_name(held, monkeypatch):
-    def unknown(uid):
-        raise KeyError(uid)
-
-    (lab,) = held("lab")
-    monkeypatch.setattr("pwd.getpwuid", unknown)
-    assert main(["stop"]) == 0
-    assert KeptOrders(lab).stopped_by == f"a terminal of {os.getuid()}"
-
-
-def test_it_finds_its_session_on_a_full_disk(held, monkeypatch):
+def test_it_finds_its_session_on_a_full_disk_and_holds_for_a_user_without_a_name(held, monkeypatch):
     def full():
         raise FileNotFoundError("no usable temporary directory")
 
@@ -63,6 +53,15 @@ def test_it_finds_its_session_on_a_full_disk(held, monkeypatch):
     assert stopped(lab) == [False]
     assert main(["stop"]) == 0
     assert stopped(lab) == [True]
+
+    # It holds for a user without a name.
+    def unknown(uid):
+        raise KeyError(uid)
+
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    KeptOrders(lab).release()
+    assert main(["stop"]) == 0
+    assert KeptOrders(lab).stopped_by == f"a terminal of {os.getuid()}"
 
 
 def test_if_it_fails_for_one_session_it_stops_the_others(held, monkeypatch, capsys):

@@ -17,7 +17,7 @@ def chosen(*words):
     return stream.chosen_setup(make_parser().parse_args(["stream", *words]))
 
 
-def test_the_suggested_mends_for_a_missing_source_work(tmp_path):
+def test_the_suggested_mends_for_a_missing_source_work_and_a_camera_called_a_mic_films(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(TOML.format("wrist"))
     mend = r'give --source wrist=SPEC, or wrist = "SPEC" in \[sources\] of the setup file'
@@ -27,6 +27,11 @@ def test_the_suggested_mends_for_a_missing_source_work(tmp_path):
     assert named.source("wrist") == "scene:head"
     path.write_text(TOML.format("wrist") + '[sources]\nwrist = "scene:left"\n')
     assert chosen("--setup", str(path)).source("wrist") == "scene:left"
+    path = tmp_path / "mine.toml"
+    path.write_text(TOML.format("a_mic") + "[sources]\na_mic = 'scene:static'\n")
+    setup = load_setup(str(path))
+    stream.check_sources(setup, setup.inputs)
+    stream.draw_backgrounds(setup, setup.inputs, MonotonicClock())
 
 
 def test_a_robot_brings_its_own_cameras_unless_the_user_names_others(tmp_path, monkeypatch):
@@ -40,14 +45,6 @@ def test_a_robot_brings_its_own_cameras_unless_the_user_names_others(tmp_path, m
     words = ["--setup", "spacejustin", "--robot", "seeing_robot:Arm"]
     assert chosen(*words).sources == {"head": "own:Eye"}
     assert chosen(*words, "--source", "head=scene:head").source("head") == "scene:head"
-
-
-def test_a_camera_that_is_called_a_mic_films(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text(TOML.format("a_mic") + "[sources]\na_mic = 'scene:static'\n")
-    setup = load_setup(str(path))
-    stream.check_sources(setup, setup.inputs)
-    stream.draw_backgrounds(setup, setup.inputs, MonotonicClock())
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_neither_dots_nor_links_lead_out(root):
     assert {path.name for path in root.iterdir()} == {"way", "link"}
 
 
-def test_what_a_killed_process_began_to_write_goes_and_was_never_shown(root):
+def test_what_a_killed_process_began_to_write_goes_and_too_much_is_refused(root):
     (root / "a").mkdir()
     (root / "a" / ".part-77").write_bytes(b"half")
     directory = FencedDirectory(root)
@@ -60,9 +60,6 @@ def test_what_a_killed_process_began_to_write_goes_and_was_never_shown(root):
     (root / "a" / ".part-78").write_bytes(b"half")
     assert directory.do(DirectoryJob(KEY, LIST, "a")) == ("", b"")
     assert directory.do(DirectoryJob(KEY, GET, "a/.part-78"))[0]
-
-
-def test_too_much_is_refused_or_left_out(root):
     with (root / "large").open("wb") as file:
         file.truncate(MAX_FILE_OCTETS + 1)
     assert "in parts" in do(root, GET, "large")[0]

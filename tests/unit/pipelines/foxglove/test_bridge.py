@@ -3,10 +3,7 @@
 import json
 import re
 import struct
-from collections import Counter, deque
-from contextlib import nullcontext
 from fractions import Fraction
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +20,6 @@ from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.foxglove.bridge import Bridge, live_channels
 from pipelines.foxglove.client import MOST_AGE_NS
-from pipelines.foxglove.process_foxglove import _Topics
 from pipelines.media.key_picture_maker import last_key
 from pipelines.mission.tmtc_messages import CommandUpdate
 from pipelines.recording.channels import sources_of
@@ -142,51 +138,6 @@ def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_pict
     assert bridge.figures(NS_PER_S).undecodable == 10
 
 
-class Sample(nullcontext):
-    """A sample of a topic, as its reader gets it."""
-
-    def __init__(self, octets, stamp):
-        super().__init__()
-        self.octets, self.stamp, self.published_ns = lambda: octets, stamp, stamp.capture_ns
-
-
-class Bus:
-    """Topics of which only their readers count; those of `SENT` get what is published."""
-
-    def __init__(self):
-        self.readers = Counter()
-        self.published = deque()
-
-    def reader(self, topic, depth=1):
-        self.readers[topic] += 1
-
-        def close():
-            self.readers[topic] -= 1
-
-        def newest():
-            return self.published.popleft() if topic == SENT and self.published else None
-
-        return SimpleNamespace(next=newest, latest_octets=lambda: None, close=close)
-
-
-def test_a_client_that_joins_hevc_is_seen_as_a_new_reader_until_it_has_a_key_picture():
-    bridge, bus = new_bridge(), Bus()
-    context = SimpleNamespace(topology=TOPOLOGY, setup=BUILT_IN["spacejustin"])
-    topics = _Topics(context, bus, bridge)
-    readers = []
-    for number in range(30):
-        now_ns = number * NS_PER_S // 30
-        if number in (5, 15):
-            joined(bridge, VIDEO, now_ns=now_ns)
-        unit = hevc(b"\0\0\1\x02\x01x", key=number in (0, 10, 20))
-        bus.published.append(Sample(unit.pack(), CaptureStamp(now_ns, number, "test")))
-        topics.read(now_ns)
-        readers.append(bus.readers[SENT])
-    assert readers == [1] * 5 + [2] * 5 + [1] * 5 + [2] * 5 + [1] * 10
-    topics.close()
-    assert not +bus.readers
-
-
 def test_who_reads_nothing_loses_the_oldest_and_begins_anew(bridge):
     slow, fast = joined(bridge, VIDEO), joined(bridge, VIDEO)
     of_fast, of_slow = [], []
@@ -246,6 +197,11 @@ def test_a_service_is_a_telecommand_that_who_only_watches_may_not_send(bridge):
     answer = bridge.poll_transmit(number)
     assert struct.unpack_from("<BII", answer) == (3, 1, 9)
 
+    # Who asks without reading is closed.
+    with pytest.raises(ProtocolError):
+        for _ in range(100):
+            bridge.handle_text(number, '{"op":"setParameters","parameters":[]}', 0)
+
 
 @given(st.one_of(st.text(), st.binary(), st.from_regex(r'\{"op":"\w{1,30}"(,"\w+":\[?\w*)*')))
 def test_garbage_is_refused(garbage):
@@ -256,13 +212,6 @@ def test_garbage_is_refused(garbage):
             bridge.handle_octets(number, b"\x01" + garbage, 0)
         else:
             bridge.handle_text(number, garbage, 0)
-
-
-def test_who_asks_without_reading_is_closed(bridge):
-    number = joined(bridge)
-    with pytest.raises(ProtocolError):
-        for _ in range(100):
-            bridge.handle_text(number, '{"op":"setParameters","parameters":[]}', 0)
 
 
 def test_the_layout_names_channels_and_services_that_there_are():

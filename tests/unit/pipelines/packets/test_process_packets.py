@@ -25,9 +25,6 @@ def test_each_frame_is_a_datagram_and_missed_samples_are_counted():
     assert copies.copied == len(sent) == 10
     # After 8 a gateway was started again.
     assert copies.missed == 2
-
-
-def test_frames_go_by_udp_to_two_ports():
     assert parse_frames("udp:127.0.0.1:5") == ("127.0.0.1", 5)
     for text in ("127.0.0.1:5", "tcp:5", "udp:5", "udp:a:0", "udp:a:65535"):
         with pytest.raises(ConfigError, match=r"--frames .* write udp:HOST:PORT"):

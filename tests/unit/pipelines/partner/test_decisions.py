@@ -18,9 +18,6 @@ def test_only_the_token_opens_the_door_and_many_strangers_are_turned_away_unread
     assert door.check("Bearer secret", 0) is None
     assert door.check("Bearer guess", NS_PER_S).status == 401
     assert door.refused == {"token": 11, "strangers": 20}
-
-
-def test_viewers_and_offers_are_bounded():
     door = decisions.Door(token="secret", most_viewers=2)
     assert door.check_offer(viewers=1, now_ns=0) is None
     assert door.check_offer(viewers=2, now_ns=0).status == 503

@@ -26,10 +26,8 @@ s=-
 t=0 0
 a=group:BUNDLE 0 1 2
 a=extmap-allow-mixed
-a=msid-semantic: WMS
-m=audio 9 UDP/TLS/RTP/SAVPF 111 63 0
+m=audio 9 UDP/TLS/RTP/SAVPF 111
 c=IN IP4 0.0.0.0
-a=rtcp:9 IN IP4 0.0.0.0
 {WAY}
 a=ice-options:trickle
 a=mid:0
@@ -37,13 +35,8 @@ a=extmap:1 urn:ietf:params:rtp-hdrext:ssrc-audio-level
 a=extmap:4 {MID}
 a=sendrecv
 a=rtcp-mux
-a=rtcp-rsize
 a=rtpmap:111 opus/48000/2
-a=rtcp-fb:111 transport-cc
 a=fmtp:111 minptime=10;useinbandfec=1
-a=rtpmap:63 red/48000/2
-a=fmtp:63 111/111
-a=rtpmap:0 PCMU/8000
 a=ssrc:77 cname:x
 m=video 9 UDP/TLS/RTP/SAVPF 96 97 102 103 106
 c=IN IP4 0.0.0.0
@@ -58,10 +51,6 @@ a=rtpmap:96 VP8/90000
 a=rtpmap:97 rtx/90000
 a=fmtp:97 apt=96
 a=rtpmap:102 H264/90000
-a=rtcp-fb:102 goog-remb
-a=rtcp-fb:102 transport-cc
-a=rtcp-fb:102 ccm fir
-a=rtcp-fb:102 nack
 a=rtcp-fb:102 nack pli
 a=fmtp:102 level-asymmetry-allowed=1;packetization-mode=1;profile-level-id=42001f
 a=rtpmap:103 H264/90000
@@ -112,17 +101,7 @@ def test_a_browsers_offer_is_answered_with_what_both_can():
     assert theirs.feedback == {"nack"}
 
 
-def test_a_parameter_without_its_value_is_not_repeated_and_the_mode_of_h264_need_not_be():
-    offer = read(re.sub("profile-level-id=[0-9a-f]+", "profile-level-id=", BROWSER))
-    line = description.common_line(offer.lines[1], sends=True, receives=True)
-    answer = described([line], answers=offer)
-    assert "packetization-mode=1" in answer and "profile-level-id" not in answer
-    bare = re.sub("packetization-mode=.;", "", BROWSER.replace("actpass", "active"))
-    assert "packetization-mode" not in bare
-    assert "video" in [line.kind for line in read(bare, answers=True).lines]
-
-
-def test_our_offer_comes_back_as_it_was():
+def test_our_offer_comes_back_as_it_was_and_a_parameter_without_its_value_is_not_repeated():
     lines = [
         description.wanted_line("audio", mid="0", ssrc=1, sends=True),
         description.wanted_line("video", mid="1", ssrc=2, sends=True, receives=True),
@@ -133,27 +112,25 @@ def test_our_offer_comes_back_as_it_was():
     # What the partner does not take is not sent.
     line = description.wanted_line("video", mid="1", ssrc=1, receives=True)
     assert description.common_line(line, sends=True, receives=False) is None
-
-
-@pytest.mark.parametrize(
-    ("left_out", "why"),
-    [
-        ("a=fingerprint", "fingerprint"),
-        ("a=ice-pwd", "password"),
-        ("a=rtcp-mux", "no bundled"),
-        ("a=rtpmap", "not a session"),
-        ("a=group", "no bundled"),
-    ],
-)
-def test_what_cannot_be_used_is_refused(left_out, why):
-    # Garbage: tests/fuzz/test_strangers_fuzz.py.
-    text = "\r\n".join(line for line in BROWSER.split("\r\n") if not line.startswith(left_out))
-    with pytest.raises(ProtocolError, match=why):
-        read(text)
+    offer = read(re.sub("profile-level-id=[0-9a-f]+", "profile-level-id=", BROWSER))
+    line = description.common_line(offer.lines[1], sends=True, receives=True)
+    answer = described([line], answers=offer)
+    assert "packetization-mode=1" in answer and "profile-level-id" not in answer
+    bare = re.sub("packetization-mode=.;", "", BROWSER.replace("actpass", "active"))
+    assert "packetization-mode" not in bare
+    assert "video" in [line.kind for line in read(bare, answers=True).lines]
 
 
 @pytest.mark.rule("10")
-def test_an_endless_description_is_not_read():
+def test_what_cannot_be_used_or_is_endless_is_refused():
+    # Garbage: tests/fuzz/test_strangers_fuzz.py.
+    for left_out, why in (
+        *(("a=fingerprint", "fingerprint"), ("a=ice-pwd", "password"), ("a=rtpmap", "not a sess")),
+        *(("a=rtcp-mux", "no bundled"), ("a=group", "no bundled")),
+    ):
+        lines = [line for line in BROWSER.split("\r\n") if not line.startswith(left_out)]
+        with pytest.raises(ProtocolError, match=why):
+            read("\r\n".join(lines))
     with pytest.raises(ProtocolError, match="octets"):
         read("a" * (description.MOST_SDP_OCTETS + 1))
 

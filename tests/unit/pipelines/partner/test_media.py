@@ -30,11 +30,8 @@ def unit(number, octets=3000):
     """An access unit of one slice, with parameter sets and IDR at the first."""
     body = number.to_bytes(4, "big") + b"\x55" * octets
     start = b"\x00\x00\x00\x01"
-    head = (
-        start + b"\x67\x42\xe0\x1f" + start + b"\x68\xce" + start + b"\x65\x88"
-        if not number
-        else start + b"\x41\x9a"
-    )
+    names = (b"\x67\x42\xe0\x1f", b"\x68\xce", b"\x65\x88") if not number else (b"\x41\x9a",)
+    head = b"".join(start + name for name in names)
     return head + body
 
 
@@ -180,11 +177,17 @@ def test_other_devices_of_the_partner_go_on_at_once(key):
     assert (pair.receiver.figures.received["video"].keys_asked > 0) == (not key)
 
 
-def test_the_partners_wish_for_a_rate_is_read_only_for_its_own_stream():
+def test_the_partners_wish_is_of_its_own_stream_and_a_stalled_sender_drops_what_is_too_old():
     pair = Pair()
     for ssrc, wish_bps in ((999, None), (102, 300_000)):
         pair.sender.handle_rtcp(rate_message(300_000, ssrc=5, media_ssrcs=[ssrc]), 0)
         assert pair.sender.wish_bps == wish_bps
+    pair = Pair()
+    pair.sender.send_unit(AccessUnit(unit(0, 400_000), CaptureStamp(0, 0, "camera"), True), 0)
+    now_ns = NS_PER_S
+    pair.sender.send_unit(AccessUnit(unit(1), CaptureStamp(now_ns, 1, "camera"), False), now_ns)
+    assert pair.sender.figures.sent["video"].dropped == 1
+    assert pair.sender.take_key_request(now_ns)
 
 
 @pytest.mark.rule("7")
@@ -201,12 +204,3 @@ def test_garbage_is_counted_and_ends_nothing():
     assert pair.sender.figures.garbage > 100
     pair.events.clear()
     assert len(drive(pair, 2)) >= 40
-
-
-def test_a_stalled_sender_drops_what_is_too_old_and_wants_a_key_picture():
-    pair = Pair()
-    pair.sender.send_unit(AccessUnit(unit(0, 400_000), CaptureStamp(0, 0, "camera"), True), 0)
-    now_ns = NS_PER_S
-    pair.sender.send_unit(AccessUnit(unit(1), CaptureStamp(now_ns, 1, "camera"), False), now_ns)
-    assert pair.sender.figures.sent["video"].dropped == 1
-    assert pair.sender.take_key_request(now_ns)

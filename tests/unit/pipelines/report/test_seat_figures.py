@@ -172,9 +172,16 @@ class Launcher:
 
     def __init__(self, *, supervisors=False):
         self.switch, self.started_ns, self.pages = SessionSwitch(), 0, {"page_space": None}
+        self.ended_ns = 0
         self.cpu_asked = 0
         rows = [row for row in TOPOLOGY.processes if supervisors or row.name not in SUPERVISORS]
-        facts = {"restarts": 0, "last_error": "", "cpu_s": lambda: 0.5}
+        facts = {
+            "restarts": 0,
+            "last_error": "",
+            "cpu_s": lambda: 0.5,
+            "told": True,
+            "told_ns": 1 << 62,
+        }
         self.children = [
             SimpleNamespace(row=row, pid=number, policy=RestartPolicy(row.stage), **facts)
             for number, row in enumerate(rows, 1)

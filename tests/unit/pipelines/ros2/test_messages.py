@@ -18,7 +18,7 @@ MESSAGES = RosMessages(1_000)
 HEAD = b"\0\x01\0\0"
 
 
-def test_a_text_and_a_picture_octet_by_octet():
+def test_texts_pictures_hashes_and_diagnostics_are_those_of_ros_2():
     assert MESSAGES.text("hi") == HEAD + b"\x03\0\0\0hi\0"
     stamp = struct.pack("<iI", 5, 1_007)
     name, kind = b"\x05\0\0\0head\0" + b"\0" * 3, b"\x05\0\0\0jpeg\0" + b"\0" * 3
@@ -27,13 +27,13 @@ def test_a_text_and_a_picture_octet_by_octet():
     unit = MESSAGES.video(b"\0\0\1\x65", "up", 5_000_000_007)
     data = b"\x04\0\0\0\0\0\1\x65\x05\0\0\0h264\0"
     assert unit == HEAD + stamp + b"\x03\0\0\0up\0\0" + data
-
-
-def test_hashes_are_those_that_ros_2_has():
     # From the messages' own files in ROS 2 Jazzy.
     known = {TEXT: "df668c7", IMAGE: "1564077", JOY: "0d356c7", POSE: "10f3786"}
     for kind, begin in known.items():
         assert MESSAGES.type_hash(kind)[:14] == f"RIHS01_{begin}"
+    octets = MESSAGES.diagnostics(["uplink is lost"], {"link up": {"frames": 7}}, 0)
+    for text in (b"uplink is lost\0", b"kontur_av: link up\0", b"frames\0", b"\x02\0\0\0007\0"):
+        assert text in octets
 
 
 def rows():
@@ -77,9 +77,3 @@ def test_garbage_of_strangers_is_refused_or_read(octets):
             read(octets)
     with pytest.raises(ProtocolError, match="too long"):
         MESSAGES.read_joy(JOY_OCTETS + bytes(5000))
-
-
-def test_diagnostics_say_what_is_wrong():
-    octets = MESSAGES.diagnostics(["uplink is lost"], {"link up": {"frames": 7}}, 0)
-    for text in (b"uplink is lost\0", b"kontur_av: link up\0", b"frames\0", b"\x02\0\0\0007\0"):
-        assert text in octets

@@ -11,7 +11,7 @@ CHATTER = Endpoint(topic="/robot/chatter", quality=RosQuality.SENSOR, **TYPE)
 NODE = Node(domain=7, zenoh_id="a1b2", namespace="/ns", name="talker")
 
 
-def test_key_expressions_are_those_of_rmw_zenoh():
+def test_key_expressions_and_attachments_are_those_of_rmw_zenoh():
     names = "%/%ns/talker"
     topic = f"%robot%chatter/std_msgs::msg::dds_::String_/{STRING}"
     assert NODE.key(CHATTER) == f"7/robot/chatter/std_msgs::msg::dds_::String_/{STRING}"
@@ -21,9 +21,6 @@ def test_key_expressions_are_those_of_rmw_zenoh():
     assert NODE.subscription_token(4, CHATTER) == f"@ros2_lv/7/a1b2/0/4/MS/{end}"
     assert NODE.subscribers(CHATTER) == "@ros2_lv/7/*/*/*/MS/*/*/*/%robot%chatter/**"
     assert (RosQuality.LATCHED.value, RosQuality.RELIABLE.value) == (":1:,1:,:,:,,", "::,10:,:,:,,")
-
-
-def test_an_attachment_is_that_of_rmw_zenoh():
     gid = bytes(range(16))
     octets = bytes.fromhex("0100000000000000 1500cd5b07000000 10") + gid
     assert Attachment(1, 0x075BCD0015, gid).pack() == octets

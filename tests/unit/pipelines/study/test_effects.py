@@ -47,42 +47,30 @@ def results_of(seed, *, damping=0.0):
     return found
 
 
-def test_two_levels_are_a_paired_t_test():
+def test_two_levels_are_a_paired_t_test_and_who_is_not_through_is_left_out():
     values = np.random.default_rng(1).normal(size=(9, 2))
     f, df, df_error, p, _ = repeated_measures(values @ helmert(2))
     expected = stats.ttest_rel(values[:, 0], values[:, 1])
     assert (df, df_error) == pytest.approx((1, 8))
     assert (f, p) == pytest.approx((expected.statistic**2, expected.pvalue))
-
-
-def test_what_does_not_vary_is_not_tested():
+    base = {"task": "", "measure": "", "unit": "", "factor": "", "f": 1.0, "df": 1.0}
+    tests = [Effect(**base, df_error=1.0, partial_eta2=0.0, p=p) for p in (0.04, 0.01, 0.03, 0.5)]
+    assert [one.p_holm for one in holm(tests)] == pytest.approx([0.09, 0.04, 0.09, 0.5])
     report = study_report(PLAN, results_of(1))
     measures = {"error, root mean square", "path", "mean force"}
     assert {one.measure for one in report.effects} == measures
-
-
-def test_an_effect_is_found_with_its_size_and_no_other():
-    report = study_report(PLAN, results_of(3, damping=0.0004))
-    (found,) = (one for one in report.effects if one.differs)
-    assert (found.measure, found.factor) == ("error, root mean square", "damping")
-    assert found.levels["10"] - found.levels["0"] == pytest.approx(4.0, abs=0.8)
-    assert found.partial_eta2 > 0.5 and 1.0 < found.df <= 2.0
-
-
-def test_where_nothing_differs_few_reports_say_so():
-    reports = [study_report(PLAN, results_of(seed)).effects for seed in range(30)]
-    # 1.5 are expected of 30; more than 5 come by chance once in 200.
-    assert sum(any(one.differs for one in effects) for effects in reports) <= 5
-
-
-def test_who_is_not_through_is_left_out_and_named():
     results = results_of(1)
     report = study_report(PLAN, [one for one in results if (one.participant, one.trial) != (4, 18)])
     assert report.unfinished == (4,) and 4 not in report.participants
     assert len(report.participants) == 11
 
 
-def test_holm_multiplies_by_the_tests_that_are_left():
-    base = {"task": "", "measure": "", "unit": "", "factor": "", "f": 1.0, "df": 1.0}
-    tests = [Effect(**base, df_error=1.0, partial_eta2=0.0, p=p) for p in (0.04, 0.01, 0.03, 0.5)]
-    assert [one.p_holm for one in holm(tests)] == pytest.approx([0.09, 0.04, 0.09, 0.5])
+def test_an_effect_is_found_with_its_size_and_where_nothing_differs_few_reports_say_so():
+    report = study_report(PLAN, results_of(3, damping=0.0004))
+    (found,) = (one for one in report.effects if one.differs)
+    assert (found.measure, found.factor) == ("error, root mean square", "damping")
+    assert found.levels["10"] - found.levels["0"] == pytest.approx(4.0, abs=0.8)
+    assert found.partial_eta2 > 0.5 and 1.0 < found.df <= 2.0
+    reports = [study_report(PLAN, results_of(seed)).effects for seed in range(30)]
+    # 1.5 are expected of 30; more than 5 come by chance once in 200.
+    assert sum(any(one.differs for one in effects) for effects in reports) <= 5

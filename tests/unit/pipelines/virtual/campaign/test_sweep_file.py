@@ -12,7 +12,7 @@ def sweep_of(tmp_path, text):
     return load_sweep(path)
 
 
-def test_grids_make_the_setups_of_every_choice(tmp_path):
+def test_grids_make_the_setups_of_every_choice_and_each_once(tmp_path):
     sweep = sweep_of(
         tmp_path,
         """
@@ -43,9 +43,6 @@ def test_grids_make_the_setups_of_every_choice(tmp_path):
     assert len(sweep.tasks()) == 8 * 3
     assert [task.seed for task in sweep.tasks()[:4]] == [1, 2, 3, 1]
     assert sweep.x_field == "radio_delay_ms"
-
-
-def test_a_choice_that_two_grids_make_is_run_once(tmp_path):
     text = "seconds = 1\n[[grid]]\nradio_delay_ms = [0, 5]\n[[grid]]\nradio_delay_ms = [5, 9]\n"
     sweep = sweep_of(tmp_path, text)
     assert [case.setup.radio_delay_ms for case in sweep.cases] == [0, 5, 9]
