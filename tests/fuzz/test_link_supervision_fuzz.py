@@ -46,18 +46,6 @@ def talk(one, other, since, slots):
     assert one.state is other.state is LinkState.CONNECTED
 
 
-@given(st.lists(st.binary(max_size=40), max_size=40), st.booleans())
-def test_octets_of_any_length(datagrams, master):
-    supervisor = begun(master=master)
-    for slot, data in enumerate(datagrams):
-        supervisor.handle_message(data, slot * MS)
-        supervisor.poll_transmit(slot * MS)
-    counts = supervisor.report(len(datagrams) * MS).counts
-    assert counts["messages_malformed"] + counts["messages_received"] == len(datagrams)
-    drain(supervisor)
-    talk(supervisor, begun(master=not master), len(datagrams), 100)
-
-
 def test_whatever_strangers_say_a_live_connection_stays():
     """Mutated messages of the peer, of another life, and random octets, in long streams."""
     random = Random(first_seed(6))

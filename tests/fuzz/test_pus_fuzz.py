@@ -6,8 +6,6 @@ from binascii import crc_hqx
 from random import Random
 
 from common import first_seed, repeats
-from hypothesis import given
-from hypothesis import strategies as st
 from mutated_octets import K2ACI_BODIES, mutate
 from pus_ends import Ends
 
@@ -152,8 +150,3 @@ def test_mutated_bodies_of_k2aci_are_refused_or_pack_to_the_same_octets():
             endpoint.handle_message(octets, count)
             list(iter(endpoint.next_event, None))
     assert read > 100
-
-
-@given(st.binary(max_size=240))
-def test_any_octets_are_no_harm_to_k2aci(octets):
-    K2aciEndpoint(life=1).handle_message(octets, 0)

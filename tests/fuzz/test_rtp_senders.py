@@ -126,21 +126,6 @@ def test_any_way_to_packetize_gives_the_same_pictures(pictures, way, first):
     assert depacketizer.garbage == 0
 
 
-@settings(max_examples=100, deadline=None)
-@given(st.lists(PICTURE, min_size=4, max_size=12), WAY, st.sets(st.integers(0, 200), min_size=1))
-def test_markers_amid_pictures_cost_one_picture_at_most(pictures, way, astray):
-    way = way | {"markers": "last", "empty_packets": False, "heads_earlier": 0, "end_bit": True}
-    packets = [
-        (payload, timestamp, marker or number in astray)
-        for number, (payload, timestamp, marker) in enumerate(packets_of(pictures, way))
-    ]
-    came = [
-        [one for one in split_annex_b(unit.data) if one[0] == 0x41] for unit in units_of(packets)[1]
-    ]
-    sent = [slices for _, slices in pictures]
-    assert len([one for one in sent if one in came]) >= len(sent) - 1
-
-
 LIFE = st.fixed_dictionaries(
     {
         "count": st.integers(2, 12),

@@ -12,7 +12,6 @@ import pytest
 from aiortc.rtp import RtcpPsfbPacket, RtcpRrPacket
 from common import first_seed, repeats
 from mutated_octets import mutate
-from recordings import Step, scanned, write
 from rtp_packets import make_sender
 
 from kontur_av.clock import NS_PER_MS, ManualClock
@@ -20,7 +19,6 @@ from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp, empty_picture
 from kontur_av.rtp.annex_b import join_annex_b
 from kontur_av.rtp.feedback import PictureLossListener
-from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.sources.file import FileAudio, FileVideo
 from kontur_av.sources.y4m import Y4mReader
 from kontur_av.streams.video_receiver import VideoReceiver
@@ -113,17 +111,6 @@ def text_of(octets):
     return octets.decode(errors="replace")
 
 
-def sdp():
-    video = StreamDescription(
-        kind="video", host="127.0.0.1", port=5004, payload_type=96, feedback=True, capture_time_id=3
-    )
-    audio = StreamDescription(
-        kind="audio", host="239.1.2.3", port=5006, payload_type=111, bandwidth_bps=8000
-    )
-    seeds = [write_sdp(video).encode(), write_sdp(audio).encode()]
-    return Parsing(lambda octets: parse_sdp(text_of(octets)), seeds, ConfigError)
-
-
 def whip():
     transport = description.Transport(
         ufrag="user", password="password" * 3, fingerprints=(("sha-256", "AB:" * 31 + "AB"),)
@@ -150,13 +137,6 @@ def whip():
         description.clean_candidates(text)
 
     return Parsing(parse, [*offers, fragment, fragment, link], ProtocolError)
-
-
-def mcap():
-    script = [Step(210_000_000, count % 5, 0, bytes([count]) * 12) for count in range(14)]
-    # Most are short, because damage is searched for from octet to octet.
-    short = write(script[:2]).octets
-    return Parsing(scanned, [short] * 9 + [write(script).octets], ProtocolError)
 
 
 def y4m():
@@ -277,7 +257,7 @@ def film():
     return Playing("a.film", opened, (empty_picture(64, 48),), writers)
 
 
-KINDS = [video, voice, listening, sdp, whip, mcap, y4m, toml, wav, film]
+KINDS = [video, voice, listening, whip, y4m, toml, wav, film]
 
 
 @pytest.mark.rule("7")

@@ -6,7 +6,6 @@ that only some decoders make: a count cycle that is not used is zero, and no bit
 meaning. It knows nothing of this project.
 """
 
-from binascii import crc_hqx
 from typing import NamedTuple
 
 import pytest
@@ -72,15 +71,3 @@ def test_a_strict_decoder_takes_every_frame(profile, vcids):
     # The usage flag differs with and without a sample, and yet the count has no gap.
     assert {frame.usage for frame in decoded} == {False, True}
     assert [frame.count for frame in decoded] == list(range(1234, 1234 + len(decoded)))
-
-
-@pytest.mark.parametrize(
-    ("octet", "bit", "why"),
-    [(0, 0x80, "version"), (5, 0x80, "replay"), (5, 0x08, "cycle"), (5, 0, "FECF")],
-)
-def test_the_decoder_is_strict(octet, bit, why):
-    frame = bytearray(LinkSender(UPLINK, FLOWS).poll_transmit(0))
-    frame[octet] ^= bit
-    check = crc_hqx(bytes(frame[:-2]), 0xFFFF) ^ (not bit)
-    with pytest.raises(ValueError, match=why):
-        decode(bytes(frame[:-2]) + check.to_bytes(2, "big"), length=32)

@@ -170,18 +170,6 @@ def test_a_cancelled_get_leaves_nothing_however_far_it_was(seconds):
     assert pair.space.entity.counts.file_octets_sent < len(OCTETS)
 
 
-def test_a_cancel_without_a_signal_is_told_with_the_next_one():
-    pair, transfer = putting()
-    pair.contact = False
-    pair.run(1)
-    pair.ground.entity.cancel(transfer.number, pair.now_ns)
-    pair.run(1)
-    assert pair.space.entity.open
-    pair.contact = True
-    pair.run(2)
-    assert idle(pair)
-
-
 def test_an_end_that_says_nothing_at_all_is_noticed_early():
     pair, transfer = putting(seconds=9.9, loss=1.0)
     assert not pair.ground.entity.unanswered(transfer, pair.now_ns)
@@ -280,27 +268,6 @@ def test_too_many_or_too_large_is_refused():
         entity.put("a", "", b"", 0)
     with pytest.raises(ConfigError, match="at once"):
         entity.put("a", "", b"", 0)
-
-
-def test_what_was_asked_for_and_has_not_come_yet_is_under_way():
-    pair = FilePair(rate_bps=64_000)
-    pair.space.files["a"] = OCTETS
-    ask, asked = pair.ground.entity.ask, []
-    for number in range(MOST_SENDING):
-        asked.append(ask(GET, "a", f"{number}", pair.now_ns))
-        pair.run(0.5)
-    with pytest.raises(ConfigError, match="at once"):
-        ask(GET, "a", "b", pair.now_ns)
-    pair.run(200)
-    assert {one.state for one in asked} == {DONE}
-
-
-def test_a_long_transfer_is_remembered_while_many_short_ones_end():
-    pair, transfer = putting(seconds=0, rate_bps=64_000)
-    for _ in range(70):
-        pair.ground.entity.ask(REMOVE, "none", "", pair.now_ns)
-        pair.run(0.1)
-    assert pair.ground.entity.transfers[transfer.number] is transfer
 
 
 def test_checksums_of_the_standard():

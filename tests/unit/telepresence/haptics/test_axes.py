@@ -32,6 +32,14 @@ def test_what_is_packed_is_read_back(sent):
         assert read == rest
 
 
+def test_more_axes_have_these_octets():
+    # z: 0.05 m = 2500 counts = 0x09c4; 200000 µJ of this session = 0x030d40.
+    # yaw: -0.5 rad at a lever of 0.1 m = -2500 = 0xf63c; its controller acted: 0x800000.
+    values = [(0.05, 1_200_000, False), (-0.05, 0, True)]
+    data = bytes.fromhex("09c4 030d40 f63c 800000")
+    assert pack_axes(values, (1_000_000, 0), POSITION_M) == data
+
+
 def test_a_count_that_is_never_sent_is_refused():
     with pytest.raises(ProtocolError, match="-32768"):
         read_axes(b"\x80\x00\x00\x00\x00", POSITION_M)

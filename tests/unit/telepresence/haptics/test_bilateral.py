@@ -1,7 +1,5 @@
 """Joystick and robot with a path between them: the contact is felt, stable, and makes no energy."""
 
-from itertools import pairwise
-
 import pytest
 from haptic_pair import MS, HapticPair
 from haptic_samples import unpack_command, unpack_feedback
@@ -47,25 +45,6 @@ def test_the_press_is_felt():
     assert pair.space.force_x_n == pytest.approx(-pair.robot.force_n, rel=0.1)
     sample = unpack_feedback(pair.newest[pair.ground]).value
     assert (sample.contact, sample.lit, sample.mode) == (True, 0, MODE_IMPEDANCE)
-
-
-def test_an_outage_during_contact_ends_at_rest_and_resumes_without_a_jump():
-    pair = pair_with(PRESS_AND_SLIDE)
-    pair.run(3_400)
-    assert pair.robot.force_n > 3.0
-    pair.cut = True
-    pair.run(1_500)
-    controller = pair.ground.controller
-    assert controller.holding and pair.robot.force_n < 0.2
-    # Only the damping of the hand's motion remains.
-    assert pair.felt_n < 0.1 + pair.space.controller.model.damping_n_s_m * 0.15
-    pair.cut = False
-    seen = [(pair.felt_n, controller.reference_x_m) for _ in pair.cycles(1_000)]
-    most_n = pair.space.controller.model.rate_n_s / 1000
-    assert max(b[0] - a[0] for a, b in pairwise(seen)) <= most_n * 1.3
-    most_m = controller.model.speed_m_s / 1000
-    assert max(abs(b[1] - a[1]) for a, b in pairwise(seen)) <= most_m + 1e-9
-    assert pair.robot.contact and pair.ground.link.lost == 1_500
 
 
 def test_a_robot_in_another_mode_displays_no_force_and_stays():

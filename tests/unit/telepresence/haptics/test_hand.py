@@ -6,7 +6,6 @@ from math import hypot
 import pytest
 
 from telepresence.haptics.hand import FIRM_GRIP, PUSH, SOFT_GRIP, TAP_TARGETS, Grip, Hand, Waypoint
-from telepresence.haptics.joystick import Joystick
 
 MS = 1_000_000
 
@@ -63,20 +62,6 @@ def test_the_muscles_are_a_spring_and_a_damper_with_a_greatest_push(model):
         damped = -0.1 * model.damping_n_s_m, 0.2 * model.damping_n_s_m
         assert (fx, fy) == pytest.approx((0.6 * pull_n + damped[0], 0.8 * pull_n + damped[1]))
     assert hand.mass_kg == model.mass_kg and Hand().model is SOFT_GRIP
-
-
-def test_a_hand_leads_a_handle_and_yields_as_its_grip_says():
-    ways = []
-    for grip in (SOFT_GRIP, FIRM_GRIP):
-        joystick = Joystick()
-        hand = Hand(grip, script=(Waypoint(0.02, 0.03, 0, 1_000 * MS),))
-        for push_n in (0.0, -3.0):
-            for _ in range(3000):
-                pull = hand.force(joystick.x_m, joystick.y_m, joystick.vx_m_s, joystick.vy_m_s, MS)
-                joystick.push(push_n, 0.0, *pull, hand.mass_kg, MS)
-            ways.append(0.02 - joystick.x_m)
-            assert joystick.y_m == pytest.approx(0.03, abs=1e-3)
-    assert ways == pytest.approx([0.0, 3.0 / 250.0, 0.0, 3.0 / 700.0], rel=0.02, abs=1e-3)
 
 
 def test_a_person_lets_go_when_the_robot_is_lost_and_presses_when_it_waits():

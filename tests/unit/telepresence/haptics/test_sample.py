@@ -150,3 +150,18 @@ def test_a_greeting_is_read_as_it_was_written(session, number, answers, partner,
     for change in ({0: 1}, {3: 1}, {4: 0, 5: 0, 6: 0, 7: 0}):
         with pytest.raises(ProtocolError, match="octets 0 and 3"):
             read_greeting(bytes({**dict(enumerate(data)), **change}.values()), feedback=feedback)
+
+
+@pytest.mark.parametrize(
+    ("octets", "greeting", "feedback"),
+    [
+        # A joystick that sends in session 5 asks the life 0xbee100, and holds.
+        ("0005 44 00 00c0ffee 00bee100", Greeting(5, 0xC0FFEE, 0xBEE100), False),
+        # The robot's life 0xbeef00 offers session 6 for that request.
+        ("0006 c0 00 00beef00 00c0ffee", Greeting(6, 0xBEEF00, 0xC0FFEE), True),
+    ],
+)
+def test_a_greeting_has_these_octets(octets, greeting, feedback):
+    data = bytes.fromhex(octets)
+    assert pack_greeting(greeting, feedback=feedback, holding=not feedback) == data
+    assert read_greeting(data, feedback=feedback) == greeting

@@ -130,17 +130,6 @@ def test_a_machine_without_any_rest_still_gets_a_session_and_new_keys():
     assert pair.frames[pair.ground] == pair.space.report(pair.now_ns).sent
 
 
-def test_a_flood_of_handshakes_is_bounded_and_counted():
-    pair = Pair().slots(100)
-    for _ in range(1000):
-        pair.ground.handle_datagram(bytes([0x12]) + bytes(60), ("192.0.2.66", 1), pair.now_ns)
-    pair.slots(200)
-    figures = pair.ground.report(pair.now_ns)
-    assert figures.dropped["throttled"] > 900
-    assert figures.dropped["throttled"] + figures.dropped["unauthenticated"] == 1000
-    assert figures.taken == pair.space.report(pair.now_ns).sent
-
-
 def test_a_session_outlives_a_radio_without_a_signal():
     pair = Pair().slots(100)
     frames = dict(pair.frames)

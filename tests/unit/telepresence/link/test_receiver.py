@@ -183,32 +183,6 @@ def picture(number, timestamp, ssrc):
     return struct.pack(">BBHII", 0x80, 96, number, timestamp, ssrc) + b"picture"
 
 
-def test_contexts_of_a_former_life_are_not_used():
-    """The new peer assumes that its contexts are held, but the frames with them are lost."""
-    receiver = LinkReceiver(UPLINK, FLOWS)
-    now_ns = 0
-    for life in range(2):
-        sender = LinkSender(UPLINK, FLOWS)
-        sender.handle_peer(heard=True)
-        for slot in range(2000):
-            if slot % 33 == 0:
-                packet = picture(slot // 33, slot // 33 * 3000, life)
-                sender.handle_packet("video", packet, slot * MS)
-            frame = sender.poll_transmit(slot * MS)
-            if life and slot < 1000:
-                sender.handle_acknowledgements([1])
-            elif not receiver.handle_frame(frame, now_ns):
-                receiver.follow_stranger(new_life=True)
-            now_ns += MS
-        if not life:
-            assert receiver.context_ids()[0] > 0
-            assert receiver.packets.received[1] == 61
-        while event := receiver.next_event():
-            assert event.data[8:12] == bytes([0, 0, 0, life])
-    assert receiver.restarts == 1
-    assert receiver.packets.dropped["no_context"] > 0
-
-
 def test_contexts_go_on_when_the_same_life_goes_on_at_another_count():
     """Headers without a timestamp are restored from the count of frames."""
     receiver, sender = LinkReceiver(UPLINK, FLOWS), LinkSender(UPLINK, FLOWS)

@@ -2,12 +2,9 @@
 
 from random import Random
 
-from service_pair import ServiceEnd, ServicePair
-from virtual_link import VirtualLink
+from service_pair import ServicePair
 
 from kontur_av.clock import NS_PER_S
-from telepresence.link.flows import HapticReceived, Level, PacketReceived, packet_flow
-from telepresence.link.gateway import BacklogReporter
 from telepresence.services.datagrams import (
     MOST_OCTETS,
     PART_OCTETS,
@@ -175,38 +172,3 @@ def test_an_overtaken_opening_gives_no_octet_of_another_life_to_the_opener() -> 
     pair.run(2)
     assert here.read == b"right"
     assert wrong.reason == ResetReason.UNKNOWN
-
-
-def test_busy_streams_both_ways_take_no_slot_from_haptics() -> None:
-    flows = [packet_flow("files", Level.MAINTENANCE)]
-    link = VirtualLink(uplink_flows=flows, downlink_flows=flows)
-    ends = {link.ground: ServiceEnd(1), link.space: ServiceEnd(2)}
-    reporters = {gateway: BacklogReporter(gateway) for gateway in ends}
-    given, came = dict.fromkeys(ends, 0), dict.fromkeys(ends, 0)
-    for slot in range(6_000):
-        now_ns = link.now_ns
-        for gateway, end in ends.items():
-            # In the last slots the samples that are on their way arrive.
-            if 1_000 <= slot < 5_900:
-                given[gateway] += gateway.handle_haptic(bytes(12), now_ns)
-            if (told := reporters[gateway].poll_transmit(now_ns)) is not None:
-                end.streams.handle_link(
-                    heard=told.peer_heard, waiting_octets=told.maintenance_octets, now_ns=now_ns
-                )
-            if gateway is link.ground and len(end.programs) < 3:
-                end.open(now_ns)
-            for program in end.programs.values():
-                if not program.pending:
-                    program.write(OCTETS)
-            for datagram in end.work(now_ns):
-                gateway.handle_datagram("files", datagram, now_ns)
-        for gateway, event in link.step():
-            if isinstance(event, HapticReceived):
-                came[gateway] += 1
-            elif isinstance(event, PacketReceived):
-                ends[gateway].streams.handle_datagram(event.data, link.now_ns)
-    assert came == given == dict.fromkeys(ends, 4_900)
-    for end in ends.values():
-        counts = end.streams.report()
-        assert counts.service_octets_received > 20_000
-        assert counts.service_streams_reset == counts.service_octets_resent == 0

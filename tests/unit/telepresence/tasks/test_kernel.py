@@ -7,7 +7,6 @@ import pytest
 from kontur_av.clock import NS_PER_S
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks import kernel
-from telepresence.tasks.definitions import Pattern, Pursue
 from telepresence.tasks.kernel import ChooseCamera, ElemopBegun, Record, ShowPicture, View
 from telepresence.tasks.panel_picture import DARK
 from telepresence.tasks.places import curve_points
@@ -177,17 +176,6 @@ def test_a_curve_is_followed_when_nearly_all_of_it_was_visited():
         robot.run(200)
         results.append(robot.end.result)
     assert results == [TaskResult.TIMED_OUT, TaskResult.FINISHED]
-
-
-def test_the_spot_moves_at_each_tick():
-    robot = Obedient("execPursuit")
-    robot.run(60)
-    pursue = CATALOGUE.elemops["pursueSpot"]
-    assert isinstance(pursue, Pursue)
-    pictures = [order.picture for order in robot.orders if isinstance(order, ShowPicture)]
-    spots = {one.spot_m for one in pictures if one.pattern is Pattern.SPOT}
-    assert len(spots) > pursue.turn_s * NS_PER_S / kernel.TICK_NS * 0.9
-    assert robot.end.result is TaskResult.FINISHED
 
 
 def test_a_spring_is_to_be_held_at_its_force():

@@ -3,13 +3,10 @@
 from math import inf, nan
 
 import pytest
-from haptic_session import begin_session
 
-from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.board import Board, WallModel
-from telepresence.haptics.loop import robot_link
 from telepresence.haptics.robot import Robot
-from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, Command, pack_command
+from telepresence.haptics.sample import MODE_OFF
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import TORQUE_NS, Fault, RobotControl, RobotLimits
 
@@ -178,29 +175,3 @@ def test_no_torque_and_no_spring_beyond_its_limit_is_taken(value):
     assert "0 to 200 N s/m" in control.set_impedance(100.0, value)
     control.run(10)
     assert (control.robot.x_m, control.robot.y_m, control.refused) == (0.0, 0.0, 3)
-
-
-def test_the_hand_leads_the_robot_in_telepresence_and_in_no_other_mode():
-    side = RobotSide(link=robot_link(life=1))
-    session, control, now_ns, number = begin_session(side.link), RobotControl(side.robot), 0, 0
-    ways_m = {}
-    for mode in (*ControlMode, ControlMode.TELEPRESENCE):
-        assert control.set_mode(mode) == control.set_power(True) == ""
-        # The hand is 20 mm beside the tip.
-        begin_m = side.robot.x_m
-        for _ in range(300):
-            now_ns, number = now_ns + MS, number + 1
-            command = Command(begin_m + 0.02, 0.0, 20 * number)
-            side.handle_datagram(pack_command(number, command, session=session), now_ns)
-            control.step(now_ns)
-            side.handle_cycle(now_ns, MS)
-        ways_m[mode] = side.robot.x_m - begin_m
-        assert (side.robot.mode == MODE_IMPEDANCE) is (mode in ("impedance", "telepresence"))
-        control.set_power(False)
-        for _ in range(200):
-            # The brakes hold it.
-            now_ns += MS
-            side.handle_cycle(now_ns, MS)
-    assert ways_m.pop(ControlMode.TELEPRESENCE) > 0.005
-    # The groove pulls a tip that is held softly.
-    assert list(ways_m.values()) == pytest.approx([0.0, 0.0, 0.0], abs=2e-3)

@@ -156,18 +156,6 @@ def test_a_line_is_cut_to_whole_characters():
     assert k2aci.fitted_line("ü" * 64) == "ü" * 64
 
 
-def test_a_message_arrives_and_its_sender_hears_so():
-    ground, space = end(), end()
-    assert ground.poll_timeout() is None
-    assert space.send(START, 0) == 0
-    assert space.poll_timeout() == 0
-    pass_on(space, ground, 10 * MS)
-    assert events(ground) == [Arrived(1, 0, START)]
-    pass_on(ground, space, 30 * MS)
-    assert events(space) == [Delivered(0, START, 30 * MS)]
-    assert (space.poll_timeout(), space.waiting) == (None, ())
-
-
 def test_a_repetition_is_acknowledged_again_and_handed_out_once():
     ground, space = end(), end()
     space.send(START, 0)

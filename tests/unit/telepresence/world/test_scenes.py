@@ -119,16 +119,3 @@ def test_a_click_reported_late_still_sounds_at_its_instant():
     assert 40 * 48 <= first <= 40 * 48 + 2
     whole = heard_of(lambda now_ns: WorldState(now_ns, touched_ns=touched_ns))
     assert np.array_equal(change[40 * 48 :], whole[40 * 48 :])
-
-
-def test_two_contacts_in_a_row_are_two_clicks():
-    first_ns, second_ns = (2 * NS_PER_S + ms * NS_PER_MS for ms in (50, 130))
-
-    def state_at(now_ns):
-        past = [at for at in (first_ns, second_ns) if at <= now_ns]
-        return WorldState(now_ns, touched_ns=past[-1] if past else None)
-
-    change = heard_of(state_at)
-    assert change[50 * 48 : 52 * 48].max() > 5000
-    assert change[120 * 48 : 130 * 48].max() < 100
-    assert change[130 * 48 : 132 * 48].max() > 5000

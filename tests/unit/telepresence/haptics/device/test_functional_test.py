@@ -6,7 +6,6 @@ from joystick_scripts import STICK, Person, edge, play
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.device.functional_test import FORCE_N, Outcome, TestPart, functional_test
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.device.simulated import FACTS, FAULTS, Fingers, SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.hand import Hand
@@ -147,21 +146,6 @@ def test_it_is_refused_in_the_application():
     refusal = session.handle.handle_command(JoystickEvent.TEST)
     assert "not in the state application; allowed there: stop" in refusal
     assert session.operation.test.outcome is Outcome.NONE
-
-
-def test_a_person_at_a_page_does_it():
-    device = PageDevice()
-    session = Session(device=device)
-    sequence = 0
-
-    def look():
-        nonlocal sequence
-        sequence += 1
-        pressed = device.leds == (1 << device.facts.leds) - 1
-        device.handle_input(PageInput(pressed, 0.0, 0.0, 0, sequence, sequence * NS_PER_MS))
-
-    report = session.test(each=look)
-    assert (report.outcome, report.reason) == (Outcome.PASSED, "")
 
 
 @pytest.mark.parametrize(

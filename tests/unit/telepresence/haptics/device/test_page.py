@@ -252,18 +252,6 @@ def test_no_input_moves_the_handle_without_the_dead_man_button(script):
     assert not seat.handle.dead_man and seat.place == pytest.approx(place, abs=1e-5)
 
 
-@settings(max_examples=50)
-@given(inputs.filter(lambda hand: not (-1 <= hand.x <= 1 and -1 <= hand.y <= 1)))
-def test_what_is_out_of_range_does_not_prolong_a_hand(hand):
-    seat = pointing(deepcopy(READY), (0.0, 0.0, 0.1))
-    seat.wanted = None
-    for k in range(100):
-        later = hand._replace(sequence=seat.sequence + k, received_ns=seat.handle.now_ns)
-        seat.device.handle_input(later)
-        seat.run(0.001)
-    assert not seat.handle.dead_man
-
-
 def test_a_press_at_the_page_holds_the_axes_where_they_are():
     device = PageDevice(axes=("z",))
     device.show_state(JoystickState.APPLICATION)

@@ -5,14 +5,11 @@ from math import hypot
 
 import pytest
 from gamepads import AXES, CONTROLLERS, KEYS, STICKS, Pad, settled
-from haptic_pair import HapticPair
 from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.axes import AXIS_NAMES, MoreAxis
-from telepresence.haptics.bilateral import JoystickSide
-from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import (
@@ -57,22 +54,6 @@ def test_the_handle_follows_a_jump_of_the_stick_smoothly(jumps):
             before = (x, y, vx, vy)
     stick.handle_event(3, 0, 255)
     assert settled(stick).x_m == pytest.approx(0.1, abs=1e-5)
-
-
-@pytest.mark.parametrize("release_ms", [0, 16, 64])
-def test_releasing_the_stick_at_a_wall_keeps_the_observers_positive(release_ms):
-    device = Pad()
-    pair = HapticPair(JoystickSide(handle=OperatedHandle(device)), delay_ms=10)
-    for cycle in pair.cycles(3000):
-        if cycle == 690:
-            device.stick.handle_event(1, 0x136, 1)
-        since = (cycle - 700) % 1500
-        share = min(since / 400, 1.0) if since < 1000 else 1 - (since - 1000) / max(release_ms, 1)
-        if cycle >= 700:
-            device.stick.handle_event(3, 0, round(127.5 + 127.5 * max(share, 0.0)))
-    assert pair.ground.controller.energy_out_uj > 10_000
-    pair.assert_passive()
-    assert pair.space.handle.operation.state is JoystickState.APPLICATION
 
 
 def test_the_dead_man_button_is_the_left_shoulder_or_the_trigger_or_the_first_button():
@@ -222,15 +203,3 @@ def test_a_stick_at_rest_is_calibrated_and_needs_its_dead_man_button():
     run(operation, 500, now_ns)
     # Nobody feels this force, but the energies must be those of a hand that does.
     assert operation.force_limit_n == UNFELT_FORCE_LIMIT_N
-
-
-def test_a_stick_that_is_held_is_calibrated_once_it_is_released():
-    operation = JoystickOperation(Pad(), automatic=True)
-    operation.device.stick.handle_event(3, 0, 200)
-    # It pushes nobody, so the calibration is repeated.
-    now_ns = run(operation, 20_000)
-    assert operation.state is JoystickState.CALIBRATION_ERROR
-    assert "does not rest at its middle (+" in operation.reason
-    operation.device.stick.handle_event(3, 0, 128)
-    run(operation, 2_000, now_ns)
-    assert operation.state is JoystickState.APPLICATION

@@ -36,6 +36,13 @@ def test_a_wall_is_read_as_it_was_written(stamp_ms, count, turn, distance, stiff
     assert none[6:9] == b"\x02\0\0" and none[12:] == bytes(4)
 
 
+def test_a_wall_has_these_octets():
+    # 1/8 turn = 0x2000, 3035 ms = 0xbdb, 60 mm = 3000 counts = 0xbb8, 1500 N/m = 0x5dc
+    wall = Wall(tau / 8, 3000 * 20e-6, 1500.0)
+    octets = bytes.fromhex("0103 c005 0009 02 2000 000bdb 0bb8 05dc")
+    assert pack_wall(WallMessage(3035, wall), 5) == octets
+
+
 def test_a_wall_out_of_range_is_cut_and_one_that_is_never_sent_refused():
     for wall, cut in (
         (Wall(tau - 1e-6, 9.0, 1e6), (0.0, 0.65534, 20_000.0)),

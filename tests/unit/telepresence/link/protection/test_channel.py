@@ -23,7 +23,6 @@ from telepresence.link.protection.channel import (
     SessionBegun,
 )
 from telepresence.link.protection.datagrams import (
-    HANDSHAKE,
     KNOCK,
     RECORD,
     SEGMENT_OVERHEAD_OCTETS,
@@ -239,24 +238,6 @@ def pretend(channel, true_key, victim_key):
     handshake._agreement.client = true_key.identity.digest < victim_key.identity.digest
 
 
-@BOTH
-def test_a_refusal_is_not_for_ever(name):
-    """One end pins another key for a while; its codes are right, so TLS has to refuse."""
-    pair = ProtectedPair().start()
-    refuser = getattr(pair, name)
-    agreement = refuser.channel._handshake._agreement
-    agreement._peer = STRANGER_KEY.identity
-    pair.run(30)
-    assert sessions(pair) == [0, 0]
-    assert any(end.of(HandshakeFailed) for end in pair.ends)
-    # It is not tried all the time.
-    assert sum(not is_record(datagram) for _, datagram in pair.recorded) < 400
-    agreement._peer = refuser.peer
-    pair.run(5)
-    assert sessions(pair) == [1, 1]
-    assert_nothing_lost(pair)
-
-
 def test_a_flood_of_knocks_costs_few_answers_and_no_memory():
     pair = connected()
     other = ProtectedEnd(SPACE_KEY, GROUND_KEY.identity, STRANGER, GROUND_ADDRESS)
@@ -291,25 +272,6 @@ def test_the_old_keys_are_forgotten_after_the_overlap():
     pair.inject(late, SPACE_ADDRESS, GROUND_ADDRESS)
     pair.run(0.1)
     assert pair.ground.dropped == {"unknown_key": 1}
-
-
-def test_late_datagrams_of_a_peer_that_restarted_do_not_disturb_its_new_attempt():
-    pair = ProtectedPair()
-    # Nothing of ground's flight arrives, so the first attempt stays open.
-    pair.blocks = lambda end, datagram: end is pair.ground and len(datagram) > 600
-    pair.start().run(0.5)
-    late = [each for end, each in pair.recorded if end is pair.space and each[0] == HANDSHAKE]
-    assert late
-    pair.space.start(pair.now_ns)
-    pair.run(0.5)
-    for datagram in late:
-        pair.inject(datagram, SPACE_ADDRESS, GROUND_ADDRESS)
-    pair.run(0.1)
-    assert pair.ground.dropped["stale"] >= len(late)
-    assert [event.why for event in pair.ground.of(HandshakeFailed)] == ["the peer began anew"]
-    pair.blocks = lambda end, datagram: False
-    pair.run(2)
-    assert sessions(pair) == [1, 1]
 
 
 def test_a_silent_peer_is_asked_for_new_keys_after_two_seconds_unless_it_returns():

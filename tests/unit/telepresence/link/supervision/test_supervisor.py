@@ -81,9 +81,8 @@ def test_connects_in_two_round_trips_and_a_few_messages(delay_slots, late):
     pair.run(abs(late))
     assert not late or first.supervisor.state is LinkState.SEARCH
     second.start(8, pair.slot)
-    while pair.states != CONNECTED:
-        pair.step()
-    assert pair.slot - abs(late) <= 5 * delay_slots + 100
+    pair.run(5 * delay_slots + 100)
+    assert pair.states == CONNECTED
     for end in pair.ends:
         states = pair.history(end)
         assert states[:3] == ["check", "search", "configure"]
@@ -163,23 +162,6 @@ def test_frames_without_messages_time_out():
     assert pair.ground.supervisor.state is LinkState.SEARCH
     assert pair.ground.of(PeerDeaf)
     assert pair.ground.supervisor.delivering
-
-
-def test_contexts_are_reported_at_once_and_again():
-    pair = connected()
-    pair.run(3 * S)
-    pair.space.supervisor.handle_contexts((3, 0), pair.slot * MS)
-    pair.run(7)
-    assert pair.ground.of(ContextsHeld)[-1].ids == (3, 0, 0, 0)
-    pair.ground.events.clear()
-    pair.run(2 * S)
-    assert {event.ids for event in pair.ground.of(ContextsHeld)} == {(3, 0, 0, 0)}
-    # Contexts that change all the time do not use up the channel.
-    sent = len(pair.space.sent)
-    for number in range(S):
-        pair.space.supervisor.handle_contexts((1 + number % 255,), pair.slot * MS)
-        pair.step()
-    assert len(pair.space.sent) - sent <= 51
 
 
 @pytest.mark.parametrize(
@@ -415,16 +397,21 @@ def test_a_broken_application_link_is_reset_where_nothing_comes_out():
 
 
 @pytest.mark.parametrize(
-    ("changes", "why"),
+    ("options", "why"),
     [
-        ({"version": 4}, "version"),
-        ({"receive_flows": UP[:2]}, "frames or flows differ"),
-        ({"transmit": replace(DOWNLINK, frame_octets=400)}, "downlink has"),
+        ({"space": replace(SPACE, version=4)}, "version"),
+        ({"space": replace(SPACE, receive_flows=UP[:2])}, "frames or flows differ"),
+        (
+            {"space": replace(SPACE, transmit=replace(DOWNLINK, frame_octets=400))},
+            "downlink has",
+        ),
+        ({"masters": (True, True)}, "both ends are master"),
+        ({"masters": (False, False)}, "both ends are slave"),
     ],
 )
 @pytest.mark.parametrize("late", [0, 100])
-def test_a_mismatch_is_refused_and_named(changes, why, late):
-    pair = Pair(space=replace(SPACE, **changes))
+def test_a_mismatch_is_refused_and_named_until_it_is_gone(options, why, late):
+    pair = Pair(**options)
     pair.never_connected = True
     pair.ground.start(1, 0)
     pair.run(late)
@@ -436,26 +423,17 @@ def test_a_mismatch_is_refused_and_named(changes, why, late):
         assert not end.delivered and not end.supervisor.delivering
         assert len(end.sent) < 20 * 20 + 100
         assert "refused" in pair.history(end)
-    # Restarted with the right configuration, it is accepted at once.
-    pair.never_connected = False
-    pair.space.configuration = SPACE
-    pair.space.start(3, pair.slot)
-    pair.run(100)
-    assert pair.states == CONNECTED
-
-
-@pytest.mark.parametrize("masters", [(True, True), (False, False)])
-def test_two_ends_with_the_same_role_refuse_each_other_until_they_are_gone(masters):
-    pair = Pair(masters=masters)
-    pair.never_connected = True
-    pair.start()
-    pair.run(5 * S)
-    assert pair.states == ("REFUSED", "REFUSED")
-    assert f"both ends are {'master' if masters[0] else 'slave'}" in pair.ground.supervisor.why
-    assert not pair.ground.delivered + pair.space.delivered
     pair.blocked = dict.fromkeys(pair.blocked, True)
     pair.run(200)
     assert pair.states == ("SEARCH", "SEARCH")
+    # Restarted with the right configuration, it is accepted at once.
+    pair.blocked = dict.fromkeys(pair.blocked, False)
+    pair.never_connected = False
+    pair.space.configuration = SPACE
+    pair.ground.master, pair.space.master = True, False
+    pair.start()
+    pair.run(100)
+    assert pair.states == CONNECTED
 
 
 def test_the_local_check_comes_first():
@@ -492,13 +470,13 @@ class Near:
         assert self.template.kind is MessageKind.HELLO
         self.now_ns = frames = 0
         found = Encounter.IGNORE
-        while found is Encounter.IGNORE:
+        while found is Encounter.IGNORE and frames < 100:
             self.run(1)
             frames += 1
             found = self.supervisor.handle_stranger(
                 self.hello(), self.now_ns, frames=frames, lasts_ns=self.now_ns
             )
-        assert frames > 1
+        assert 1 < frames < 100
         self.receive()
 
     def hello(self, **fields):
@@ -543,14 +521,6 @@ def test_an_echo_of_the_own_number_proves_the_peer_and_that_it_hears(error, prov
     near.receive(echo=number ^ error, signal=True)
     assert near.hears() == proven
     assert (near.asked().number == 0) == proven
-
-
-def test_an_echo_counts_only_as_long_as_a_round_trip_takes():
-    near = Near()
-    number = near.asked().number
-    near.run(2 * near.supervisor.timing.round_trip_ns // MS + 1)
-    near.receive(echo=number, signal=True)
-    assert near.asked().number
 
 
 def test_questions_without_end_are_answered_a_hundred_times_a_second():

@@ -201,19 +201,6 @@ def test_reports_are_counted_and_of_unfetched_ones_the_oldest_goes():
     assert [one.unix_ns // S for one in events(user)] == list(range(1, 257))
 
 
-def test_events_of_each_severity_are_read():
-    table = oven_table()
-    severities = ("info", "low", "medium", "high")
-    table["oven"]["event"] = {
-        name: {"number": number, "severity": name} for number, name in enumerate(severities, 1)
-    }
-    table["oven"] |= {"monitor": {}, "action": []}
-    user = PusUser(dictionary_from_table(table), source=7, first_count=0)
-    for number in range(1, 5):
-        user.handle_telemetry(report(5, number, bytes([number])), 0)
-    assert [(one.event, one.severity) for one in events(user)] == [(one, one) for one in severities]
-
-
 def test_each_request_is_answered_from_end_to_end():
     ends = Ends()
     heat = ends.user.call("oven", "heat", [180.5], now_ns=0)
@@ -251,20 +238,6 @@ def test_each_request_is_answered_from_end_to_end():
     ends.user.switch_housekeeping("oven", "light", on=True, now_ns=ends.now_ns)
     ends.run(5500 * MS)
     assert len(ends.events(pus_user.HousekeepingReport)) == 3
-
-
-def test_a_lost_telecommand_or_verification_is_repeated_and_nothing_done_twice():
-    ends = Ends()
-    ends.user.call("oven", "off", now_ns=0)
-    ends.up = False
-    ends.run(600 * MS)
-    ends.up, ends.down = True, False
-    ends.run(2 * S)
-    ends.down = True
-    ends.run(4 * S)
-    (result,) = ends.events(CommandResult)
-    assert (result.ok, result.round_trip_ns, result.tries) == (True, 3500 * MS, 4)
-    assert (len(ends.calls), ends.oven.executed, ends.oven.duplicates) == (1, 1, 1)
 
 
 def test_unknown_names_and_unfit_values_are_refused():
