@@ -120,9 +120,7 @@ class Told:
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticRecording:
-    """What was written.
-
-    paths: the parts. told: messages by channel, in order. units: what was coded, by stream or
+    """paths: the parts. told: messages by channel, in order. units: what was coded, by stream or
     camera. haptics: by channel, dtype `SAMPLE`. contacts: (first, last) instant, session clock.
     """
 
@@ -135,7 +133,6 @@ class SyntheticRecording:
 
 
 def wall_ns(session_ns):
-    """The same instant in wall time."""
     return session_ns + WALL_OFFSET_NS
 
 
@@ -186,33 +183,26 @@ def write_recording(path, *, seconds=3.0, parts=1, link_frames=False, end=True):
 
 
 def octets_of_part(rows, facts, messages, end):
-    """The octets of one file."""
-    stream = McapStream(library=LIBRARY)
-    octets = bytearray()
-
-    def fetch(now_ns):
-        while (piece := stream.poll_transmit(now_ns)) is not None:
-            octets.extend(piece)
-
+    stream, octets, now_ns = McapStream(library=LIBRARY), bytearray(), 0
     stream.handle_metadata(FACTS, facts.items())
     numbers = {}
     for row in rows:
         numbers[row.topic] = row.number
         stream.handle_channel(*row.records())
     for told in messages:
-        fetch(told.publish_ns)
+        now_ns = told.publish_ns
+        octets += b"".join(iter(lambda at_ns=now_ns: stream.poll_transmit(at_ns), None))
         stream.handle_message(
             numbers[told.topic],
             told.data,
             log_ns=wall_ns(told.log_ns),
             publish_ns=wall_ns(told.publish_ns),
             sequence=told.sequence,
-            now_ns=told.publish_ns,
+            now_ns=now_ns,
         )
     if end:
         stream.handle_end()
-    fetch(0 if not messages else messages[-1].publish_ns)
-    return bytes(octets)
+    return bytes(octets) + b"".join(iter(lambda: stream.poll_transmit(now_ns), None))
 
 
 @lru_cache(maxsize=16)
@@ -262,14 +252,12 @@ def media_messages(units, seconds):
             for unit in found:
                 yield picture(f"/camera/{name}", unit, unit.number, 0)
             continue
-        for unit in found:
-            yield picture(f"/{name}/sent", unit, unit.number, 0)
-            yield facts_of(f"/{name}/sent", unit, unit.number, 0)
         arrived = [unit for unit in found if name != "uplink_video" or unit.number != LOST_PICTURE]
-        for number, unit in enumerate(arrived):
-            broken = number == LOST_PICTURE and len(arrived) < len(found)
-            yield picture(f"/{name}/received", unit, number, LINK_NS)
-            yield facts_of(f"/{name}/received", unit, number, LINK_NS, shows_loss=broken)
+        for way, units_of, delay_ns in (("sent", found, 0), ("received", arrived, LINK_NS)):
+            for number, unit in enumerate(units_of):
+                broken = number == LOST_PICTURE and len(units_of) < len(found)
+                yield picture(f"/{name}/{way}", unit, number, delay_ns)
+                yield facts_of(f"/{name}/{way}", unit, number, delay_ns, shows_loss=broken)
     for name, bitrate_bps in VOICES.items():
         for number, packet in enumerate(spoken(bitrate_bps, seconds)):
             at_ns = BEGIN_NS + number * 20 * MS
@@ -284,14 +272,12 @@ def told(topic, log_ns, sequence, data, delay_ns=0):
 
 
 def picture(topic, unit, sequence, delay_ns):
-    """A picture's message."""
     name = topic.split("/")[2 if topic.startswith("/camera") else 1]
     value = RecordedPicture(wall_ns=wall_ns(unit.capture_ns), frame_id=name, data=unit.data)
     return told(topic, unit.capture_ns, sequence, pack(value), delay_ns)
 
 
 def facts_of(topic, unit, sequence, delay_ns, *, shows_loss=False):
-    """The message with its facts."""
     value = UnitFacts(
         capture_ns=unit.capture_ns,
         key=unit.key,
@@ -385,7 +371,6 @@ def command_messages(seconds, contacts):
 
 
 def packet(topic, at_ns, sequence, data):
-    """A space packet's message."""
     value = RecordedPacket(session_ns=at_ns, data=data, what=packet_words(data))
     return told(topic, at_ns, sequence, pack(value))
 
@@ -393,47 +378,27 @@ def packet(topic, at_ns, sequence, data):
 def link_messages(seconds, link_frames):
     """Ten times a second, what each end of each direction counts."""
     for number in range(int(seconds * 10)):
-        at_ns = BEGIN_NS + number * 100 * MS
+        at_ns, some = BEGIN_NS + number * 100 * MS, number % 3
+        state = {"session_ns": at_ns, "signal": True, "state": "CONNECTED"}
+        queue = {"packets": some, "octets": 200 * some, "oldest_age_ns": MS * some}
+        sent = {"frames": 100 * number, "haptic_sent": 100 * number, "haptic_superseded": 0}
+        came = {"frames": 99 * number, "frames_lost": number, "frames_dropped": 0}
+        came |= {"haptic_received": 99 * number, "packets": 5 * number, "packets_dropped": 0}
+        octets = {"haptic": 1200 * number, "video": 1000 * number}
+        told_sent = LinkSent(
+            **sent,
+            carried=tuple(CarriedOctets(what=what, octets=each) for what, each in octets.items()),
+            queues=(QueueState(level="VIDEO", accepted=5 * number, dropped=0, **queue),),
+            delay_ns=10 * MS,
+            radio_frames_lost=number // 10,
+            capacity_bps=0,
+            **state,
+        )
+        frames = RecordedFrames(time_ns=[at_ns, at_ns + MS], data=[b"\x01" * 32] * 2)
         for direction, capacity_bps in (("uplink", 256_000), ("downlink", 4_000_000)):
-            sent = LinkSent(
-                session_ns=at_ns,
-                capacity_bps=capacity_bps,
-                frames=100 * number,
-                haptic_sent=100 * number,
-                haptic_superseded=0,
-                carried=(
-                    CarriedOctets(what="haptic", octets=1200 * number),
-                    CarriedOctets(what="video", octets=1000 * number),
-                ),
-                queues=(
-                    QueueState(
-                        level="VIDEO",
-                        packets=number % 3,
-                        octets=200 * (number % 3),
-                        oldest_age_ns=MS * (number % 3),
-                        accepted=5 * number,
-                        dropped=0,
-                    ),
-                ),
-                delay_ns=10 * MS,
-                radio_frames_lost=number // 10,
-                signal=True,
-                state="CONNECTED",
-            )
-            received = LinkReceived(
-                session_ns=at_ns,
-                frames=99 * number,
-                frames_lost=number,
-                frames_dropped=0,
-                haptic_received=99 * number,
-                packets=5 * number,
-                packets_dropped=0,
-                signal=True,
-                state="CONNECTED",
-            )
-            yield told(f"/link/{direction}/sent", at_ns, number, pack(sent))
-            yield told(f"/link/{direction}/received", at_ns, number, pack(received))
-            if link_frames:
-                frames = RecordedFrames(time_ns=[at_ns, at_ns + MS], data=[b"\x01" * 32] * 2)
-                for way in ("sent", "received"):
-                    yield told(f"/link/{direction}/frames/{way}", at_ns, number, pack(frames))
+            row = replace(told_sent, capacity_bps=capacity_bps)
+            yield told(f"/link/{direction}/sent", at_ns, number, pack(row))
+            received = pack(LinkReceived(**came, **state))
+            yield told(f"/link/{direction}/received", at_ns, number, received)
+            for way in ("sent", "received") if link_frames else ():
+                yield told(f"/link/{direction}/frames/{way}", at_ns, number, pack(frames))

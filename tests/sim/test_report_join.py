@@ -219,12 +219,3 @@ def test_a_damaged_trace_is_refused(ends):
     unknown = msgspec.structs.replace(first, kind="Lateness")
     with pytest.raises(ProtocolError, match="no rows 'Lateness'"):
         join_reports(ground, changed(space, series=[unknown]))
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"setup": 3}', "\x00", "[" * 100_000])
-def test_a_file_that_is_no_report_gets_one_line(text, tmp_path, capsys):
-    path = tmp_path / "x.json"
-    path.write_text(text)
-    assert main(["report", "join", str(path), str(path)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "no report of a session" in line

@@ -1,20 +1,29 @@
-"""The robot controller of a whole session on virtual time, commanded from space."""
+"""Robot and joystick of a whole session on virtual time, commanded by telecommands."""
 
 from math import hypot
 
+import pytest
 from tmtc_session import Session
 
 from pipelines.mission.tmtc_messages import CommandUpdate, Reported
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device.simulated import SimulatedDevice
+from telepresence.haptics.device.states import JoystickState
+from telepresence.haptics.hand import Hand
 
-SPACE = Segment.SPACE
+SPACE, GROUND = Segment.SPACE, Segment.GROUND
 
 
-def call(session, number, name, *arguments):
-    """Call a function of the robot from space; return why it failed, or ""."""
-    session.command(SPACE, number, "robot", "call", name, arguments=arguments)
+def call(session, number, name, *arguments, joystick=False):
+    """Call a function of the robot from space, or of the joystick from the ground.
+
+    Return why it failed, or "".
+    """
+    segment = GROUND if joystick else SPACE
+    application = "joystick" if joystick else "robot"
+    session.command(segment, number, application, "call", name, arguments=arguments)
     session.run(1)
-    (done,) = [one for one in session.of(SPACE, CommandUpdate) if one.done and one.id == number]
+    (done,) = [one for one in session.of(segment, CommandUpdate) if one.done and one.id == number]
     assert done.verified and done.ok is (done.reason == "")
     return done.reason
 
@@ -63,3 +72,34 @@ def test_a_broken_limit_is_an_event_and_the_robot_stays_off_until_it_is_reset():
     assert not session.simulation.robot_desk.control.powered
     assert call(session, 3, "power_on") == ""
     assert session.simulation.robot_desk.control.telepresent
+
+
+def events(session):
+    return [one.name for one in session.of(GROUND, Reported) if one.kind == "event"]
+
+
+def test_the_joystick_is_halted_tested_and_resumed_and_the_robot_rests_meanwhile():
+    session = Session(answers=False, joystick=SimulatedDevice(hand=Hand()))
+    handle, robot = session.simulation.tmtc._handle, session.simulation.robot_desk.control.robot
+    while handle.state != JoystickState.APPLICATION and session.now_ns < 30 * 10**9:
+        session.run(0.5)
+    assert call(session, 1, "halt", joystick=True) == ""
+    assert handle.state == JoystickState.HALTED
+    session.run(2)
+    place_m = robot.x_m, robot.y_m
+    session.run(2)
+    assert (robot.x_m, robot.y_m) == pytest.approx(place_m, abs=1e-3)
+    assert events(session)[-2:] == ["state_changed", "off_nominal"]
+    assert call(session, 2, "resume", joystick=True) == ""
+    assert handle.state == JoystickState.APPLICATION
+    # Its functional test is an application of its own.
+    assert call(session, 3, "stop", joystick=True) == call(session, 4, "test", joystick=True) == ""
+    ends_ns = session.now_ns + 60 * 10**9
+    while "test_passed" not in events(session) and session.now_ns < ends_ns:
+        session.run(1)
+    assert "test_passed" in events(session)
+    session.command(GROUND, 5, "joystick", "report", "state")
+    session.run(1)
+    reported = session.of(GROUND, Reported)
+    report = [one for one in reported if (one.application, one.name) == ("joystick", "state")][-1]
+    assert report.values["application"] == "none"

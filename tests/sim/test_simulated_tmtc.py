@@ -2,7 +2,7 @@
 
 import json
 
-from tmtc_session import S, Session
+from tmtc_session import Session
 
 from pipelines.mission.tmtc import PUS_RATE_BPS
 from pipelines.mission.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
@@ -70,18 +70,6 @@ def test_housekeeping_of_all_applications_reaches_the_other_end():
     assert (link.values["state"], link.values["signal"]) == ("connected", True)
 
 
-def test_reports_of_a_blackout_come_when_the_signal_is_back():
-    session = Session(radio=dead("both", start_s=8.0, seconds=6.0))
-    session.run(16)
-    came_s = [
-        at_ns / S
-        for at_ns, one in session.news[Segment.SPACE]
-        if isinstance(one, Reported) and (one.application, one.name) == ("robot", "state")
-    ]
-    # The second one was due at 10 s.
-    assert len(came_s) == 2 and came_s[0] < 2.0 and came_s[1] > 14.0, came_s
-
-
 def test_a_page_says_that_a_telecommand_is_unacknowledged_until_the_direction_is_back():
     session = Session(radio=dead("downlink", seconds=10.0))
     ground = Segment.GROUND
@@ -118,21 +106,6 @@ def test_a_page_says_that_a_telecommand_is_unacknowledged_until_the_direction_is
     assert radio == "Both directions carry."
     assert desk.next_event()[:3] == (3, 7, "")
     assert session.tmtc.ends[Segment.SPACE].applications["joystick"].executed == 1
-
-
-def test_what_waits_during_a_loss_of_signal_goes_through_once_afterwards():
-    session = Session(radio=dead("both", seconds=20.0))
-    session.run(5)
-    session.command(Segment.GROUND, 1, "joystick", "call", "halt")
-    session.say(Segment.SPACE, 1, "can you hear me?")
-    session.run(16)
-    assert (session.asked, session.of(Segment.GROUND, K2aciArrived)) == ([], [])
-    session.run(3)
-    assert session.asked == [("joystick", "halt")]
-    assert session.of(Segment.GROUND, CommandUpdate)[-1].ok
-    assert len(session.of(Segment.GROUND, K2aciArrived)) == 1
-    events = [one.name for one in session.of(Segment.GROUND, Reported) if one.kind == "event"]
-    assert "signal_acquired" in events
 
 
 def test_the_worst_load_of_tmtc_takes_from_video_what_the_bucket_allows_and_nothing_from_haptics():

@@ -1,6 +1,7 @@
 """Lights and clicks: detected exactly if present; no false detections."""
 
 import numpy as np
+from common import repeats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -33,7 +34,7 @@ def with_click(background, at, peak=9000.0, hertz=2600):
     return heard.clip(-32768, 32767).astype(np.int16)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=repeats(25), deadline=None)
 @given(
     at=st.integers(4000, 20_000),
     hertz=st.integers(1900, 3700),
@@ -80,7 +81,7 @@ def lit(picture, x, y, side=10, by=120, v=40):
     return picture
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=repeats(20), deadline=None)
 @given(
     x=st.integers(10, 300),
     y=st.integers(10, 220),

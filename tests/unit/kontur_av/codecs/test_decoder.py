@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from av.video.frame import PictureType
 from coding_loop import blocks, decode, decode_all, encode, moving
-from common import psnr_db
+from common import psnr_db, repeats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -48,13 +48,6 @@ def test_a_late_joiner_starts_clean_after_one_refresh_wave():
     assert 15 <= first <= 30 and list(shown) == list(range(first, 100))
     assert psnr_db(shown[first].to_i420(), list(moving(first + 1))[-1]) > 28
     assert (decoder.counts.frames_corrupt, decoder.counts.frames_before_start) == (0, 5)
-
-
-def test_after_a_loss_the_next_refresh_heals_pictures():
-    whole, hurt = decode_all(stored_units()), decode(stored_units(), lost=range(40, 45))
-    assert sorted(hurt) == [n for n in range(130) if not 40 <= n < 45]
-    assert psnr_db(hurt[45].to_i420(), whole[45]) < 40
-    assert psnr_db(hurt[125].to_i420(), whole[125]) > 60
 
 
 def test_a_wave_of_hevc_lets_a_decoder_join_and_heals_any_loss():
@@ -101,7 +94,7 @@ def test_garbage_is_counted_and_the_stream_continues():
     assert decoder.counts.frames_corrupt >= 6
 
 
-@settings(max_examples=25)
+@settings(max_examples=repeats(25))
 @given(st.sampled_from(VIDEO_CODECS), st.data())
 def test_corrupted_octets_raise_nothing(codec, data):
     decoder = VideoDecoder(codec)

@@ -41,11 +41,6 @@ def units():
     return encode(noise(3 * FPS), cap_bps=200_000, refresh_s=1.0)
 
 
-def test_an_undamaged_stream_is_never_called_damaged(units):
-    healing = Healing()
-    assert not any(healing.handle_unit(received(u.data)) for u in units)
-
-
 @pytest.mark.parametrize("lost", [{20}, {31, 32, 33}, {44}])
 def test_damage_ends_with_the_refresh_and_then_the_picture_is_right(units, lost):
     healing, hurt = Healing(), []

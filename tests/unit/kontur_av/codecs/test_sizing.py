@@ -52,6 +52,7 @@ class Content(NamedTuple):
 BOARD = Content((25, 28, 31, 36), 6, (23, 15, 8, 0))
 #: A man before a bookshelf at rest: coding still loses more than scaling.
 SHELF = Content((26, 29, 32, 37), 14, (9, 6, 2, 0))
+CLEAR_SHELF = SHELF._replace(coding=3)
 #: A talking head on a train.
 FOOTAGE = Content((34, 37, 40, 46), 20, (0.6, 0.3, 0.2, 0))
 
@@ -79,24 +80,21 @@ def test_a_cut_to_a_picture_that_stands_grows_again_unless_the_last_growth_was_i
     assert film.show(30, BOARD) == USUAL
 
 
-def test_a_size_between_is_not_taken_early():
+COARSE = BOARD._replace(quantiser=tuple(step + 10 for step in BOARD.quantiser))
+NOISY = BOARD._replace(quantiser=(29, 32, 37, 44))
+
+
+@pytest.mark.parametrize(
+    ("content", "pictures", "size"),
+    # A size between is not taken early; what grew stays; coding may lose more than scaling.
+    [(COARSE, 60, USUAL), (NOISY, 900, FULL), (SHELF, 900, USUAL), (CLEAR_SHELF, 900, FULL)],
+)
+def test_a_picture_that_stands_grows_once_if_scaling_loses_more_than_coding(
+    content, pictures, size
+):
     film = Film()
-    coarse = BOARD._replace(quantiser=tuple(step + 10 for step in BOARD.quantiser))
-    assert film.show(60, coarse) == USUAL
-
-
-def test_a_picture_that_stands_does_not_grow_while_coding_loses_more_than_scaling():
-    film = Film()
-    assert film.show(900, SHELF) == USUAL
-    assert film.choice.changes == 0
-    assert film.show(900, SHELF._replace(coding=3)) == FULL
-
-
-def test_a_noisy_picture_that_stands_keeps_the_size_to_which_it_grew():
-    film = Film()
-    noisy = BOARD._replace(quantiser=(29, 32, 37, 44))
-    assert film.show(900, noisy) == FULL
-    assert film.choice.changes == 1
+    assert film.show(pictures, content) == size
+    assert film.choice.changes == (size == FULL)
 
 
 def test_motion_a_cut_and_a_late_picture_end_the_large_size_at_once():
@@ -179,13 +177,7 @@ def test_a_rare_cut_keeps_the_size_and_fast_ones_do_not():
     assert restless[changes[0]]
 
 
-def test_constant_change_is_no_cut():
-    cuts = Cuts()
-    assert not any(cuts.handle_picture(view) for view in views(300, change=18.0))
-    assert cuts.found == 0
-
-
-def test_repeatedly_requested_key_pictures_are_small():
+def test_constant_change_is_no_cut_and_repeatedly_requested_key_pictures_are_small():
     cuts = Cuts()
     asked = {150, 150 + RARE + 1, 150 + RARE + 31}
     restless = [
@@ -193,6 +185,9 @@ def test_repeatedly_requested_key_pictures_are_small():
     ]
     assert restless.index(True) == 150 + RARE + 31
     assert all(restless[restless.index(True) :])
+    cuts = Cuts()
+    assert not any(cuts.handle_picture(view) for view in views(300, change=18.0))
+    assert cuts.found == 0
 
 
 def test_footage_full_of_cuts_is_coded_small_and_they_are_on_time(pictures):

@@ -62,16 +62,14 @@ def test_of_many_receivers_the_one_that_was_new_first_is_forgotten(listener):
     assert new(0, 200)
 
 
-def test_reports_of_a_receiver_with_indications_ask_for_nothing(listener):
-    assert answers(listener, indication(), at_ns=0)
-    assert not any(answers(listener, report(at_s), at_ns=at_s * S) for at_s in range(3, 30))
-
-
-def test_reports_of_this_software_ask_for_nothing(listener):
+def test_reports_of_this_software_or_with_indications_ask_for_nothing(listener):
     own = receiver_report(1, RtcpReceiverInfo(7, 0, 5, 9, 0, 0, 0), b"x")
     assert not answers(listener, own, at_ns=0)
     # Another program at the same address is somebody else.
     assert answers(listener, report(5, receiver=2), at_ns=0)
+    listener = PictureLossListener(ssrc=7)
+    assert answers(listener, indication(), at_ns=0)
+    assert not any(answers(listener, report(at_s), at_ns=at_s * S) for at_s in range(3, 30))
 
 
 def test_an_indication_has_the_twelve_octets_of_the_rfc_and_is_repeated_after_250_ms():
@@ -81,9 +79,7 @@ def test_an_indication_has_the_twelve_octets_of_the_rfc_and_is_repeated_after_25
     # Version 2, no padding, FMT 1; PT 206; length 2; sender; media source (RFC 4585 clause 6.1).
     assert reporter.poll_transmit(3) == bytes.fromhex("81ce0002 01020304 a1b2c3d4")
     assert reporter.poll_timeout() == 3 + 250 * MS
-
-
-def test_it_is_repeated_until_the_picture_is_whole():
+    # It is repeated until the picture is whole.
     reporter, asked = PictureLossReporter(ssrc=1), []
     for k in range(40):
         reporter.handle_picture(damaged=3 <= k < 20, media_ssrc=2, now_ns=k * 33 * MS)

@@ -113,9 +113,9 @@ def test_feedback_is_offered_with_its_profile_only():
         assert parse_sdp(write_sdp(described)) == described
 
 
-@pytest.mark.parametrize("line", ["15 {}", "0 {}", "x {}", "3"])
-def test_an_id_that_no_short_header_has_is_not_read(line):
-    assert read(f"a=extmap:{line}\n".format(CAPTURE_TIME)).capture_time_id is None
+def test_an_id_that_no_short_header_has_is_not_read():
+    for line in ("15 {}", "0 {}", "x {}", "3"):
+        assert read(f"a=extmap:{line}\n".format(CAPTURE_TIME)).capture_time_id is None
     assert read(f"a=extmap:3/sendonly {CAPTURE_TIME} x").capture_time_id == 3
 
 
@@ -143,6 +143,9 @@ def test_an_address_of_the_media_goes_before_that_of_the_session():
     for address in ("10.0.0.9", "camera.local"):
         other = f"m=text 5000 RTP/AVP 98\nc=IN IP4 {address}\n"
         assert read(head=HEAD + other).host == "10.0.0.1"
+    # RFC 8866 section 5.7: IPv4 needs a TTL of a group, IPv6 has none.
+    assert "\r\nc=IN IP4 224.1.1.1/1\r\n" in write_sdp(stream(host="224.1.1.1"))
+    assert "\r\nc=IN IP6 ff15::101\r\n" in write_sdp(stream(host="ff15::101"))
     # A receiver does not need the address, so neither a name nor its absence matters.
     assert read(head="v=0\n").host == "0.0.0.0"
     assert read("c=IN IP6 camera.local\n").host == "::"
@@ -167,11 +170,9 @@ def test_the_first_known_payload_type_counts_with_its_own_parameters():
     assert read(media=text) == stream(
         name="Room", payload_type=97, rtcp_port=7000, parameter_sets=(SPS, PPS), feedback=True
     )
-
-
-@pytest.mark.parametrize("encoding", ["opus/48000/2", "OPUS/48000", "opus/48000/1"])
-def test_a_voice_is_read_in_mono_too(encoding):
-    assert read(media=f"m=audio 5004 RTP/AVP 97\na=rtpmap:97 {encoding}\n").kind == "audio"
+    # A voice is read in mono too.
+    for encoding in ("opus/48000/2", "OPUS/48000", "opus/48000/1"):
+        assert read(media=f"m=audio 5004 RTP/AVP 97\na=rtpmap:97 {encoding}\n").kind == "audio"
 
 
 NO_STREAM = "no stream"
@@ -187,9 +188,10 @@ NO_KEYS = "takes no keys"
         (HEAD + "m=video 5004 RTP/AVP 96\na=rtpmap:97 H264/90000\n", NO_STREAM),
         (HEAD, NO_STREAM),
         (VIDEO, "no SDP"),
-        (HEAD + VIDEO.replace("RTP/AVP", "RTP/SAVP"), NO_KEYS),
-        (HEAD + VIDEO.replace("RTP/AVP", "RTP/SAVPF"), NO_KEYS),
-        (HEAD + VIDEO.replace("RTP/AVP", "UDP/TLS/RTP/SAVPF"), NO_KEYS),
+        *(
+            (HEAD + VIDEO.replace("RTP/AVP", profile), NO_KEYS)
+            for profile in ("RTP/SAVP", "RTP/SAVPF", "UDP/TLS/RTP/SAVPF")
+        ),
         (
             write_sdp(WRITTEN["HEVC"][0]).replace("sprop-vps", "sprop-max-don-diff=2;sprop-vps"),
             "decoding order",
@@ -203,18 +205,14 @@ def test_what_is_no_stream_of_ours_is_refused(text, reason):
         assert parse_sdp(text + VIDEO).port == 5004
 
 
-@pytest.mark.parametrize(
-    ("port", "payload_type", "wrong"),
-    [(1, 0, 0), (65534, 127, 0), (0, 0, 1), (1, -1, 1), (65535, 0, 1), (1, 128, 1)],
-)
-def test_numbers_are_read_up_to_their_limits(port, payload_type, wrong):
-    media = f"m=video {port} RTP/AVP {payload_type}\na=rtpmap:{payload_type} H264/90000\n"
-    if wrong:
+def test_numbers_are_read_up_to_their_limits():
+    media = "m=video {0} RTP/AVP {1}\na=rtpmap:{1} H264/90000\n"
+    for port, kind in ((1, 0), (65534, 127)):
+        found = read(media=media.format(port, kind))
+        assert (found.port, found.payload_type) == (port, kind)
+    for port, kind in ((0, 0), (1, -1), (65535, 0), (1, 128)):
         with pytest.raises(ConfigError, match="must be a whole number"):
-            read(media=media)
-    else:
-        found = read(media=media)
-        assert (found.port, found.payload_type) == (port, payload_type)
+            read(media=media.format(port, kind))
 
 
 @pytest.mark.parametrize(
@@ -242,12 +240,6 @@ def test_what_is_malformed_and_not_needed_is_ignored(line):
 def test_parameter_sets_are_found_in_what_cameras_write(sets):
     found = read(f"a=fmtp: 96 packetization-mode=1 ; sprop-parameter-sets={sets}\n")
     assert found.parameter_sets == (SPS, PPS)
-
-
-def test_a_multicast_address_is_written_with_its_ttl():
-    # RFC 8866 section 5.7: IPv4 needs one, IPv6 has none.
-    assert "\r\nc=IN IP4 224.1.1.1/1\r\n" in write_sdp(stream(host="224.1.1.1"))
-    assert "\r\nc=IN IP6 ff15::101\r\n" in write_sdp(stream(host="ff15::101"))
 
 
 @given(

@@ -254,10 +254,9 @@ def test_any_way_of_writing_a_file_plays(chunk_size, compression, index_types, f
     assert not source.faults
 
 
-@pytest.mark.parametrize("shift_ms", [0, -3_600_000, -40])
-def test_instants_that_do_not_rise_are_moved_and_told(tmp_path, shift_ms):
-    """The second half begins again: at the same instants, an hour back, or a little."""
-    times = [0, 33, 66, *(at + shift_ms for at in (66, 99, 132))]
+def test_instants_that_do_not_rise_are_moved_and_told(tmp_path):
+    hour_ms = 3_600_000
+    times = [0, 33, 66, *(at - hour_ms for at in (66, 99, 132))]
     write(tmp_path / "a.mcap", {"/head": film(units(), times)})
     source, into = opened(tmp_path / "a.mcap")
     steps = [b - a for (a, _), (b, _) in pairwise(seen_of(source, into, 7))]

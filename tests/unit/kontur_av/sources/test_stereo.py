@@ -169,24 +169,18 @@ def test_the_seam_is_in_the_middle_while_nothing_crosses_it_and_returns_there():
     assert finder.handle_pictures(*pair(290, 240, 110)) != 0.5
     seams = [finder.handle_pictures(*pair(120, 240, 110)) for _ in range(20)]
     assert seams[-1] == 0.5
-
-
-def test_it_keeps_its_side_of_a_ball_that_trembles():
+    # It keeps its side of a ball that trembles.
     finder = SeamFinder()
     seams = [finder.handle_pictures(*pair(320 + 6 * (k % 2), 240, 110)) for k in range(20)]
     assert len({seam < 0.5 for seam in seams}) == 1
 
 
-@pytest.mark.parametrize("missing", [0, 1])
-def test_without_a_picture_of_both_cameras_it_is_in_the_middle(missing):
-    finder = SeamFinder()
-    both = pair(320, 240, 110)
-    assert finder.handle_pictures(*both) != 0.5
-    both[missing] = None
-    assert finder.handle_pictures(*both) == 0.5
-
-
-def test_cameras_that_see_no_common_plane_are_cut_in_the_middle():
+def test_without_a_common_plane_of_two_pictures_it_is_in_the_middle():
+    for missing in (0, 1):
+        finder, both = SeamFinder(), pair(320, 240, 110)
+        assert finder.handle_pictures(*both) != 0.5
+        both[missing] = None
+        assert finder.handle_pictures(*both) == 0.5
     left, right = pair(320, 240, 110)
     planes(right)[0][:] = planes(right)[0][::-1, ::-1].copy()
     assert SeamFinder().handle_pictures(left, right) == 0.5
