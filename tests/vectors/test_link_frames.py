@@ -3,7 +3,7 @@
 from binascii import crc_hqx
 
 from telepresence.link.flows import Level, packet_flow, video_flow, voice_flow
-from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.profile import UPLINK
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
 
@@ -77,42 +77,6 @@ def test_uplink_packet_over_several_frames_with_an_interrupting_telecommand():
         "supervision": 12,
         "idle": 6 + 12 + 24 + 12 - 12,
     }
-
-
-def test_downlink_frame():
-    sender = LinkSender(DOWNLINK, FLOWS)
-    sender.handle_haptic(SAMPLE, 0)
-    sender.handle_packet("tmtc", bytes(range(20)), 0)
-    sender.handle_packet("maintenance", b"m" * 200, 0)
-    sender.handle_packet("maintenance", b"n" * 500, 0)
-    frame = sender.poll_transmit(0)
-    assert len(frame) == 500
-    # SCID 0x4C; M_PDU header: five spare bits and pointer 0.
-    assert frame[:20].hex() == "5301" + "000000" + "40" + SAMPLE.hex() + "0000"
-    assert frame[20:42] == bytes.fromhex("8b 14") + bytes(range(20))
-    # The length of 200 octets takes two octets: 1 bit and 15 bits of length.
-    assert frame[42:245] == bytes.fromhex("8a 80c8") + b"m" * 200
-    assert frame[245:498] == bytes.fromhex("0a") + b"n" * 252
-    assert frame[498:] == fecf(frame[:498])
-    # Without a sample the M_PDU header follows the primary header; pointer 248.
-    second = sender.poll_transmit(0)
-    assert second[:8].hex() == "5301" + "000001" + "00" + "00f8"
-    assert second[8:498] == b"n" * 248 + bytes(242)
-    idle = sender.poll_transmit(0)
-    assert idle[:8].hex() == "5301" + "000002" + "00" + "07fe"
-    assert idle[8:498] == bytes(490)
-    told = sender.poll_transmit(0, MESSAGE)
-    assert told[:20] == bytes.fromhex("5301 000003 00 07fc") + MESSAGE
-    assert told[20:498] == bytes(478)
-
-
-def test_one_octet_too_long_for_its_length_is_padded():
-    sender = LinkSender(DOWNLINK, FLOWS)
-    sender.handle_haptic(SAMPLE, 0)
-    sender.handle_packet("maintenance", b"m" * 476, 0)
-    zone = sender.poll_transmit(0)[20:498]
-    assert zone == bytes.fromhex("01 0a") + b"m" * 476
-    assert sender.poll_transmit(0)[6:8].hex() == "07fe"  # it has ended with that zone
 
 
 def test_a_dropped_packet_is_not_reported_as_ended():

@@ -5,7 +5,7 @@ from math import hypot
 
 import pytest
 
-from telepresence.haptics.board import Board, WallModel
+from telepresence.haptics.board import Board
 from telepresence.haptics.robot import Robot, RobotModel
 from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, MODE_POSITION, MODE_TORQUE
 
@@ -57,21 +57,6 @@ def test_each_joint_has_its_limit(asked, exerted):
 def test_a_step_is_at_most_a_millisecond():
     with pytest.raises(ValueError, match="at most 1000000 ns"):
         free().step(0.0, 0.0, MS + 1)
-
-
-@pytest.mark.parametrize("stiffness_n_m", [100.0, 1500.0, 5000.0])
-def test_a_press_on_any_wall_comes_to_rest(stiffness_n_m):
-    robot = Robot(board=Board(WallModel(stiffness_n_m=stiffness_n_m)))
-    robot.set_impedance(0.08, 0.0, 1000.0, 45.0)
-    forces = []
-    for _ in range(2000):
-        robot.drive(MS)
-        forces.append(robot.force_n)
-    # Two springs in series.
-    due = 0.02 * 1000.0 * stiffness_n_m / (1000.0 + stiffness_n_m)
-    assert forces[-1] == pytest.approx(due, rel=1e-3)
-    assert max(forces[-200:]) - min(forces[-200:]) < 1e-6
-    assert robot.push_x_n == -robot.force_n
 
 
 def test_each_mode_drives_the_tip_in_its_own_way():

@@ -1,8 +1,10 @@
 """A user's robot: it is driven as the simulated one is, within its limits, and switched off."""
 
+import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS as MS
+from kontur_av.errors import ConfigError
 from telepresence.haptics.axes import AxisFacts, AxisReading
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
@@ -144,6 +146,76 @@ def test_an_error_and_a_measurement_that_is_no_number_switch_it_off(arm, wrong):
     arm.reading = well
     robot.drive(MS)
     assert control.reset() == "" and control.set_power(True) == ""
+
+
+class Failing:
+    """An arm one of whose calls raises, or returns nonsense."""
+
+    def __init__(self, arm, call, *, returns=None):
+        self.arm, self.call, self.returns = arm, call, returns
+        self.calls = arm.calls
+
+    def __getattr__(self, name):
+        if name != self.call:
+            return getattr(self.arm, name)
+        if self.returns is not None:
+            return lambda *_: self.returns
+
+        def fail(*_):
+            raise OSError("E217: gripper jammed")
+
+        return fail
+
+
+@pytest.mark.parametrize("call", ["advance", "read", "write_force", "deactivate", "activate"])
+def test_what_a_driver_raises_is_the_robots_error_and_never_ends_the_session(call):
+    arm = Failing(Arm(), "")
+    robot = DrivenRobot(arm)
+    control = RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
+    if call.endswith("activate"):
+        control.set_power(call == "deactivate")
+        control.step(MS)
+    arm.call = call
+    control.set_power(call != "deactivate")
+    robot.step(0.0, 0.0, MS) if call == "write_force" else robot.drive(MS)
+    said = f"{call}() failed: OSError: E217: gripper jammed"
+    if call != "deactivate":
+        # The next cycle without trouble clears the error; the fault is kept.
+        assert robot.error == said or call == "activate"
+    robot.close()
+    assert arm.calls[-1] == "power_off"
+
+
+@pytest.mark.parametrize(
+    ("call", "returns"), [("read", None), ("read", "nonsense"), ("power_on", None), ("facts", {})]
+)
+def test_a_driver_that_does_not_come_up_is_refused_and_left_without_power(call, returns):
+    arm = Arm()
+    if call == "facts":
+        arm.facts = returns
+        failing = arm
+    else:
+        failing = Failing(arm, call, returns=returns)
+    with pytest.raises(ConfigError, match=r"^(read|power_on)\(\) |^facts "):
+        DrivenRobot(failing)
+    assert "activate" not in arm.calls
+    assert arm.calls[-1] == ("configure" if call == "facts" else "power_off")
+
+
+def test_power_that_cannot_be_taken_is_said():
+    arm = Failing(Arm(), "")
+    robot = DrivenRobot(arm)
+    arm.call = "power_off"
+    with pytest.raises(ConfigError, match=r"power_off\(\) failed.*: it may still have power"):
+        robot.close()
+
+
+def test_numbers_of_numpy_drive_it(arm):
+    numbers = np.array([0.01, 0.02, 0.0, 0.0])
+    arm.reading = RobotReading(*numbers, contact=np.bool_(False))
+    robot = DrivenRobot(arm)
+    robot.step(0.0, 0.0, MS)
+    assert {type(one) for one in (robot.x_m, robot.vx_m_s, robot.push_x_n)} == {float}
 
 
 def test_a_robot_that_takes_places_and_does_not_follow_is_switched_off():

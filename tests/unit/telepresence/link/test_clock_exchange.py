@@ -241,6 +241,19 @@ def test_an_end_that_is_not_heard_has_no_offset(heard):
     assert report.messages_received == 12
 
 
+@given(st.lists(st.tuples(st.binary(min_size=8, max_size=8), st.integers(0, 10**9)), max_size=60))
+def test_any_clocks_of_the_peer_are_taken_or_begun_anew(told):
+    exchange, now_ns = clock(version=2), 0
+    for rest, later_ns in told:
+        now_ns += later_ns
+        exchange.poll_transmit(now_ns, now_ns)
+        assert exchange.handle_message(bytes.fromhex("25000002") + rest, now_ns, heard=True)
+        found = exchange.estimate(now_ns)
+        assert found is None or found.error_ns > 0
+    figures = exchange.report(now_ns)
+    assert figures.messages_received == len(told) and figures.restarts <= len(told) + 1
+
+
 def report_of(seconds, fraction=0):
     """A sender report (RFC 3550, 6.4.1) with this NTP timestamp."""
     ntp = (seconds << 32 | fraction).to_bytes(8, "big")

@@ -104,18 +104,6 @@ def test_new_keys_cost_no_frame(options):
     assert [set(end.dropped) - {"stale"} for end in pair.ends] == [set(), set()]
 
 
-def test_the_old_keys_serve_as_long_as_a_handshake_cannot_be_completed():
-    pair = connected(rekey_ns=5 * S)
-    pair.blocks = lambda end, datagram: not is_record(datagram)
-    pair.run(60)
-    assert sessions(pair) == [1, 1]
-    assert_nothing_lost(pair)
-    pair.blocks = lambda end, datagram: False
-    pair.run(4)
-    assert sessions(pair) == [2, 2]
-    assert_nothing_lost(pair)
-
-
 @pytest.mark.parametrize("after", range(0, 12, 2))
 def test_a_handshake_that_breaks_off_anywhere_leaves_the_session(after):
     """This datagram of the second handshake and all after it are lost for a time."""
