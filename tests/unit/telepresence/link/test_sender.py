@@ -285,7 +285,7 @@ def test_all_rtcp_gets_through_an_overload_and_a_flood_of_it_leaves_half_to_medi
 @PROFILES
 @pytest.mark.parametrize("octets", [0, 1])
 def test_a_slot_touches_a_limited_number_of_packets(profile, octets):
-    """100,000 packets of maintenance: many wait, most are refused, those too old go in portions."""
+    """40,000 packets of maintenance: many wait, most are refused, those too old go in portions."""
     limits = QueueLimits(
         depth_octets=1 << 20,
         depth_packets=32_768,
@@ -294,7 +294,7 @@ def test_a_slot_touches_a_limited_number_of_packets(profile, octets):
     )
     for chosen in ({}, {Level.MAINTENANCE: limits}):
         sender = LinkSender(profile, RAW, limits=chosen)
-        for _ in range(100_000):
+        for _ in range(40_000):
             sender.handle_packet("maintenance", bytes(octets), 0)
         queue = sender.queue(Level.MAINTENANCE)
         assert len(queue) <= (32_768 if chosen else 1024)

@@ -155,12 +155,14 @@ def test_a_copy_that_never_says_that_it_started_fails():
     assert silent.step is loader.LoaderStep.STOP and silent.erroneous[Copy.SD_1]
 
 
-def test_an_orderly_shutdown_keeps_the_copy_that_ran():
+def test_an_orderly_shutdown_keeps_the_copy_that_ran_and_goes_before_an_update():
     computer = booted()
+    computer.loader.handle_update(5)
     computer.loader.handle_shutdown(5)
+    computer.loader.handle_update(5)
     computer.work(5)
     assert computer.done[-3:] == [StopApplication(), StoreMode(Mode.PRIME), PowerOffReady()]
-    assert booted(mode=computer.mode).running is Copy.SD_1
+    assert computer.off and booted(mode=computer.mode).running is Copy.SD_1
 
 
 @pytest.mark.parametrize("broken", [set(), {Copy.SD_1}])
@@ -176,15 +178,6 @@ def test_an_update_waits_for_an_orderly_end_and_is_tried_then(broken):
     assert StartApplication(Copy.SD_1) in computer.done
     assert computer.running is (Copy.SD_2 if broken else Copy.SD_1)
     assert computer.mode is Mode.BACKUP
-
-
-def test_power_off_goes_before_an_update():
-    computer = booted()
-    computer.loader.handle_update(5)
-    computer.loader.handle_shutdown(5)
-    computer.loader.handle_update(5)
-    computer.work(5)
-    assert computer.off and WriteUpdate() not in computer.done
 
 
 def test_a_copy_that_has_run_for_a_minute_has_worked():

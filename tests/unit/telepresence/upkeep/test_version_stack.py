@@ -85,7 +85,20 @@ def running():
     return found
 
 
-def test_a_new_version_through_which_data_passes_becomes_executable_and_the_first(running):
+def test_a_new_version_is_executable_once_data_passes_and_defective_after_a_minute_without(running):
+    # A loss of signal does not count.
+    for _ in range(20):
+        running.tell(CONTACT, 2)
+        running.tell(NOTHING, 100)
+    assert (running.current, running.state("v3"), running.events) == ("v3", NEW, [])
+    running.tell(CONTACT, 22)
+    assert running.state("v3") is DEFECTIVE
+    stop, *stored, start = running.events
+    assert (stop, start) == (StopVersion(), StartVersion("v2"))
+    assert all(isinstance(event, StoreRecord) for event in stored)
+    # By order alone it is new again.
+    running.switch.handle_order("v3", running.now_ns)
+    assert (running.current, running.state("v3")) == ("v3", NEW)
     running.tell(CONTACT, 59)
     running.tell(PASSED, 1)
     running.tell(CONTACT, 300)
@@ -94,42 +107,18 @@ def test_a_new_version_through_which_data_passes_becomes_executable_and_the_firs
     assert running.switch.record.versions == tuple((name, EXECUTABLE) for name in names)
 
 
-def test_a_new_version_without_data_is_defective_and_the_last_executable_one_starts(running):
-    running.tell(CONTACT, 62)
-    assert running.state("v3") is DEFECTIVE
-    stop, *stored, start = running.events
-    assert (stop, start) == (StopVersion(), StartVersion("v2"))
-    assert all(isinstance(event, StoreRecord) for event in stored)
-
-
-def test_a_loss_of_signal_does_not_count(running):
-    for _ in range(20):
-        running.tell(CONTACT, 2)
-        running.tell(NOTHING, 100)
-    assert (running.current, running.state("v3")) == ("v3", NEW)
-    running.tell(CONTACT, 22)
-    assert running.state("v3") is DEFECTIVE
-
-
 def test_executable_versions_that_the_peer_refuses_are_set_aside_down_to_the_elementary_one():
     running = Running(RECORD.ordered("v2"))
-    running.tell(STUCK, 62)
-    assert running.current == "v1"
-    running.tell(STUCK, 62)
-    assert running.current == ELEMENTARY
+    # One without traffic stays.
+    running.tell(CONTACT, 5000)
+    for current in ("v2", "v1", ELEMENTARY):
+        assert running.current == current
+        running.tell(STUCK, 62)
     assert running.state("v1") is running.state("v2") is EXECUTABLE
     running.tell(STUCK, 1000)
     assert running.current == ELEMENTARY
     assert running.switch.record.tried == ("v2", "v1")
-
-
-def test_an_executable_version_without_traffic_stays():
-    running = Running(RECORD.ordered("v2"))
-    running.tell(CONTACT, 5000)
-    assert running.current == "v2"
-
-
-def test_a_version_that_hears_nothing_for_a_day_is_set_aside():
+    # So is one that hears nothing for a day.
     running = Running(deaf_ns=100 * SECOND)
     running.tell(NOTHING, 102)
     assert (running.current, running.state("v3")) == ("v2", NEW)
@@ -163,12 +152,6 @@ def test_a_version_that_takes_the_machine_with_it_does_not_start_for_ever():
     for _ in range(9):
         record = Running(record).switch.record
     assert record.current == "v2"
-
-
-def test_a_defective_version_is_new_again_by_order_only(running):
-    running.tell(CONTACT, 62)
-    running.switch.handle_order("v3", running.now_ns)
-    assert (running.current, running.state("v3")) == ("v3", NEW)
 
 
 def test_damaged_files_make_a_version_defective():
