@@ -4,13 +4,10 @@ Session and browser are started once. Each test opens only the pages that it loo
 page takes nearly half a core where no graphics card helps.
 """
 
-import asyncio
 import time
 import wave
 from itertools import cycle
-from urllib.parse import parse_qs, urlsplit
 
-import aiohttp
 import browser as browsers
 import numpy as np
 import pytest
@@ -29,8 +26,6 @@ from pipelines.hand.hand_topics import unpack_status
 from pipelines.session.topic_ends import unpack_state
 from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
 
-#: Below what a local IDR picture reaches at once, far above a picture that began wrongly.
-ALIKE_DB = 45.0
 #: Below what the coder makes of a camera's picture, far above a picture that began wrongly.
 CODED_DB = 25.0
 STALE = "document.querySelector('#picture').dataset.stale === 'true'"
@@ -180,21 +175,6 @@ def numbered(space):
     select(space, "static")
     wait_for_number(space, 0)
     return space
-
-
-def test_a_page_that_joins_in_the_middle_shows_what_another_shows(
-    numbered, browser, session, pictures
-):
-    late = browser.open(session.pages()["space"])
-    wait_for_number(late, wait_for_number(numbered, 0))
-    with pictures.paused():
-        for page in (numbered, late):
-            page.wait(STALE)
-        eventually(lambda: number_on(numbered) == number_on(late), "the same picture")
-        likeness_db = psnr_db(numbered.pixels(), late.pixels())
-    print(f"a page that joined shows the same picture with {likeness_db:.0f} dB")
-    assert likeness_db > ALIKE_DB
-    late.close()
 
 
 def test_a_stream_that_changes_its_size_goes_on(numbered, ground, pictures):
@@ -454,24 +434,6 @@ def test_a_microphone_arrives_at_the_other_page(space, ground):
     eventually(lambda: level_db(space) < HEARD_DB, "silence")
 
 
-def test_ground_control_records(ground, session):
-    def pressed(on):
-        """Press the button, again if the page was too busy; whether it records as it should."""
-        ground.run(f"""
-            const button = document.querySelector("#record");
-            if (!button.disabled && button.hasAttribute("data-recording") !== {on}) button.click();
-        """)
-        records = ground.run("return document.querySelector('#record[data-recording]') !== null")
-        return records is (on == "true")
-
-    ground.wait(LIVE)
-    said = "return document.querySelector('.recorded').textContent"
-    eventually(lambda: pressed("true") and ground.run(said).endswith("MB"), "a recording")
-    eventually(lambda: pressed("false"), "the end of the recording")
-    (path,) = session.directory.glob("*.mcap")
-    assert path.stat().st_size > 10_000
-
-
 def test_a_machine_without_sound_and_camera_says_so_and_shows_the_pictures(start_browser, session):
     bare = start_browser(devices=False)
     page = bare.open(session.pages()["ground"])
@@ -488,7 +450,7 @@ def test_a_page_that_stalls_disturbs_no_other(another, space, session):
     page.wait(LIVE)
     before = drawn(page)
     with another.stalled():
-        until_s = time.monotonic() + 10
+        until_s = time.monotonic() + 3
         while time.monotonic() < until_s:
             wait_for_pictures(space)
     eventually(lambda: drawn(page) > before, "new pictures")
@@ -496,80 +458,4 @@ def test_a_page_that_stalls_disturbs_no_other(another, space, session):
     page.wait("document.body.dataset.link === 'connected'")
     # Chromium says so if it closed a connection in its sleep.
     another.assert_no_errors(server_gone=True)
-    page.close()
-
-
-FOREIGN = """
-const [socket, page, done] = [new WebSocket(arguments[0]), arguments[1], arguments[2]];
-const result = [];
-const end = (what) => { if (result.push(what) === 2) done(result.sort()); };
-socket.onopen = () => end("socket");
-socket.onerror = () => end("refused");
-fetch(page).then(() => end("page"), () => end("unreadable"));
-"""
-
-
-def test_strangers_get_nothing(another, session, space):
-    where = urlsplit(session.pages()["space"])
-    token = parse_qs(where.query)["token"][0]
-    page = another.open(f"http://{where.netloc}/space")
-    text = page.run("return document.documentElement.textContent")
-    assert text.strip() == "this address needs the token of the session"
-    # A page of another site knows the address, and even the token.
-    page = another.open("data:text/html,<title>Another site</title>")
-    done = page.driver().execute_async_script(
-        FOREIGN, f"ws://{where.netloc}/{token}/ws", session.pages()["space"]
-    )
-    assert done == ["refused", "unreadable"]
-    wait_for_pictures(space)
-
-
-def garbage(rng):
-    """Yield what no page sends, in bytes or text."""
-    yield from (b"", "", b"\x00", b"\xff" * 24, "{}", "[]", "null", "{" * 4000, "\u20ac" * 1000)
-    yield '{"request":1,"do":"format"}'
-    yield '{"request":1,"do":"hand","action":' + "[" * 2000
-    for kind in range(0x80, 0x86):
-        for length in (1, 15, 17, 23, 24, 25, 4000):
-            yield bytes([kind]) + rng.bytes(length - 1)
-    yield b"\x81" + b"\x00" * 7 + b"\xff" * 8
-    yield bytes(10_000)
-    yield "x" * 10_000
-    yield b"\x82\x01" + b"\x00" * 6 + b"\x00\x00\xc0\x7f" * 2 + b"\x00" * 8
-
-
-async def answers(url, origin, messages):
-    """Send each message on a web socket of its own; return the codes with which they closed."""
-    codes = []
-    async with aiohttp.ClientSession() as client:
-        for message in messages:
-            async with client.ws_connect(url, origin=origin) as socket:
-                if isinstance(message, str):
-                    await socket.send_str(message)
-                else:
-                    await socket.send_bytes(message)
-                async with asyncio.timeout(browsers.PATIENCE_S):
-                    async for _ in socket:
-                        pass
-                codes.append(socket.close_code)
-    return codes
-
-
-@pytest.mark.parametrize("seat", ["space", "ground"])
-def test_garbage_closes_its_own_socket_only(session, seat, browser):
-    address = session.pages()[seat]
-    page = browser.open(address)
-    page.wait(LIVE)
-    name = page.find("seat-name").get_attribute("data-page")
-    where = urlsplit(address)
-    token = parse_qs(where.query)["token"][0]
-    messages = list(garbage(np.random.default_rng(3)))
-    for path in ("ws", "media"):
-        url = f"ws://{where.netloc}/{token}/{path}"
-        codes = asyncio.run(answers(url, f"http://{where.netloc}", messages))
-        # Policy violation, or a message that is too big.
-        assert set(codes) <= {1008, 1009}, list(zip(messages, codes, strict=True))
-    wait_for_pictures(page)
-    # A page that had connected anew would have another number.
-    assert page.find("seat-name").get_attribute("data-page") == name
     page.close()
