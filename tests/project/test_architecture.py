@@ -54,7 +54,9 @@ SHELLS = {
     "pipelines/bench/video": "clips command contenders",
     "pipelines/commands": "live_session",
     "pipelines/files": "process_files service_sockets",
-    "pipelines/hand": "device_check driver_checks haptic_loop partner_arm process_ends safety_ends",
+    "pipelines/hand": (
+        "device_check driver_checks haptic_loop partner_arm process_ends safety_ends timed_calls"
+    ),
     "pipelines/link": "key_files own_ends process_gateway",
     "pipelines/media": (
         "coded_topics input_devices key_picture_maker process_receive sending stream_figures"
