@@ -17,6 +17,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.link_report import LinkView, build_link_report, summary_lines
 from pipelines.report.live import LinkScreen
 from pipelines.report.report_file import check_writable, save_report, say_failures
+from pipelines.report.seat_feed import processes_now
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_radio_arguments, add_setup_argument, asked_setup
@@ -81,6 +82,7 @@ def run(args: argparse.Namespace) -> int:
         cpu_s=launcher.cpu_s(),
         restarts={child.row.name: child.restarts for child in launcher.children},
         launcher_cpu_s=launcher_cpu_s(),
+        processes=processes_now(launcher, launcher.ended_ns),
     )
     saved = save_report(args.report, report)
     screen.show_lines(summary_lines(report))

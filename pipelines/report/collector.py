@@ -137,6 +137,11 @@ class ProcessFigures:
         assert found is None or isinstance(found, GatewayFigures)
         return found
 
+    @property
+    def newest_link(self) -> GatewayFigures | None:
+        """The link, as the newest life of a gateway that told something reported it."""
+        return self.link or (self.ended_links[-1] if self.ended_links else None)
+
     def silent_ns(self, now_ns: int | None = None) -> int:
         """How long an input has captured nothing by `now_ns`, or by its last report."""
         captured_ns = self.capture.captured_ns

@@ -6,7 +6,6 @@ look are in the order of their instants.
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
@@ -15,11 +14,12 @@ from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
+from pipelines.report.verdict import ProcessNow
 from pipelines.session.figures import DatedEvent, Event, TrainerFigures
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
-from telepresence.haptics.figures import JoystickFigures
+from telepresence.haptics.figures import JoystickFigures, RobotFigures
 from telepresence.haptics.ownership import OwnerEvent, OwnershipFigures
 from telepresence.link.figures import PeerFigures, SupervisionFigures
 from telepresence.tasks.experiment import RunStep
@@ -28,19 +28,6 @@ from telepresence.tasks.experiment import RunStep
 DEPTH = 200
 #: States of the link that are told; those between them last for milliseconds.
 _TOLD_STATES = ("connected", "refused")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProcessNow:
-    """A process as its launcher knows it.
-
-    running: whether it has a life at present. error: why its newest life that failed ended.
-    """
-
-    name: str
-    restarts: int
-    running: bool
-    error: str
 
 
 class EventLog:
@@ -61,8 +48,12 @@ class EventLog:
         self._pass_s: float | None = None
         self._camera = collector.setup.cameras[0] if collector.setup.cameras else ""
         self._restarts: dict[str, int] = {}
+        #: The processes of which it was told that they do not do their work.
+        self._troubled: set[str] = set()
         self._stale: dict[str, bool] = {}
         self._joystick: tuple[str, str] | None = None
+        #: Of the robot.
+        self._fault = ""
         self._silent: set[str] = set()
         self._faults: dict[str, str] = {}
         self._live: dict[str, str] = {}
@@ -84,6 +75,7 @@ class EventLog:
             *self._cameras(),
             *self._restarted(processes, now_ns),
             *self._joysticks(now_ns),
+            *self._robots(now_ns),
             *self._notes,
         ]
         self._notes.clear()
@@ -202,6 +194,9 @@ class EventLog:
                 why = f": {process.error}" if process.error else ""
                 yield now_ns, "process", f"{process.name} was started again{why}"
             self._restarts[process.name] = process.restarts
+            if process.trouble and process.name not in self._troubled:
+                yield now_ns, "process", f"{process.name}: {process.trouble}"
+        self._troubled = {process.name for process in processes if process.trouble}
 
     def _joysticks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
         joystick = self._collector.process("joystick").find(JoystickFigures)
@@ -212,6 +207,13 @@ class EventLog:
         if now != before:
             state, reason = now
             yield now_ns, "joystick", f"joystick: {state}" + (f" ({reason})" if reason else "")
+
+    def _robots(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
+        robot = self._collector.process("robot").find(RobotFigures)
+        before, self._fault = self._fault, "" if robot is None else robot.fault
+        if self._fault != before:
+            text = f"it is off: {self._fault}" if self._fault else "its fault is reset"
+            yield now_ns, "session", f"robot: {text}"
 
     def _staleness(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
         for stream in self._collector.setup.streams:

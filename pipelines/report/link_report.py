@@ -13,6 +13,7 @@ from pipelines.report import model
 from pipelines.report.collector import Collector
 from pipelines.report.result import fitted_line
 from pipelines.report.sections import clock_words, cpu_report, process_report
+from pipelines.report.verdict import ProcessNow, process_failures
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.table import Setup
@@ -38,10 +39,12 @@ def build_link_report(
     cpu_s: Mapping[str, float],
     restarts: Mapping[str, int],
     launcher_cpu_s: float,
+    processes: Sequence[ProcessNow] = (),
 ) -> model.LinkReport:
     """The whole report. With one end alone each direction lacks what the other end would count.
 
     seconds: how long the link ran. cpu_s, restarts: of each process, over all its lives.
+    processes: as the launcher knows them.
     """
     return model.LinkReport(
         setup=collector.setup.name,
@@ -57,7 +60,10 @@ def build_link_report(
             name: process_report(collector.process(name), cpu_s[name], restarts[name])
             for name in cpu_s
         },
-        failures=_failures(collector, ends, restarts),
+        failures=[
+            *_failures(collector, ends, restarts),
+            *process_failures(one for one in processes if not one.restarts),
+        ],
         # A restart is a failure of the link already.
         warnings=[
             *(warning for name in cpu_s for warning in find_loop_warnings(collector, name)),

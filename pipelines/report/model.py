@@ -41,6 +41,7 @@ from telepresence.haptics.figures import (
     JoystickFigures,
     OperationFigures,
     PortFigures,
+    RobotFigures,
     SamplesReceived,
     SamplesSent,
 )
@@ -599,8 +600,9 @@ class SessionReport(Report, frozen=True, kw_only=True):
     cpu: CpuReport
     processes: dict[str, ProcessReport]
     #: What broke a promise of the project; any gives exit code 1. A cap was exceeded, a stream or
-    #: haptics stopped despite a signal, a stamp was wrong, energy was made, a joystick failed, or
-    #: values of this report were lost.
+    #: haptics stopped despite a signal, a stamp was wrong, energy was made, a joystick or a robot
+    #: failed, values of this report were lost, or a process did not do its work: it hung, did not
+    #: come up, was started again more than twice, or ended without a reason.
     failures: list[str]
     #: What made the session worse than need be, and its mend.
     warnings: list[Warning]
@@ -608,6 +610,8 @@ class SessionReport(Report, frozen=True, kw_only=True):
     arm: OwnershipFigures | None = None
     #: What let the robot follow the hand or held it; of the robot's end.
     safety: SafetyFigures | None = None
+    #: The robot; of its end.
+    robot: RobotFigures | None = None
     #: The arm that only a partner drives.
     second_arm: SecondArmReport | None = None
     #: What the trainer did, oldest first.

@@ -8,10 +8,10 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import ProcessNow
 from pipelines.report.model import EndTrace, SessionReport, to_json
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
+from pipelines.report.verdict import ProcessNow
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import (
     Event,
@@ -21,8 +21,17 @@ from pipelines.session.figures import (
     SessionEvents,
 )
 from pipelines.session.launcher import Child, Launcher, launcher_cpu_s
+from pipelines.session.session_switch import Activity
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import CONSOLE, FOXGLOVE, METRICS, RECORDER, ROS2, SELECTOR
+from pipelines.session.topology import (
+    CONSOLE,
+    FOXGLOVE,
+    METRICS,
+    RECORDER,
+    ROS2,
+    SELECTOR,
+    WATCHER_PRIORITY,
+)
 
 #: Processes that are started again, and ends that meet again, may take so long.
 PATIENCE_NS = 10 * NS_PER_S
@@ -79,6 +88,25 @@ _SUPERVISED_EVERY_NS = 9 * NS_PER_S // 10
 _STOPPED = "stopped by a telecommand"
 
 
+def processes_now(launcher: Launcher, now_ns: int) -> list[ProcessNow]:
+    """The processes of `launcher`; once it has ended, as they were at the end."""
+    ended_ns = launcher.ended_ns
+    return [
+        ProcessNow(
+            name=child.row.name,
+            restarts=child.restarts,
+            running=child.ran if ended_ns else child.pid is not None,
+            error=child.last_error if child.policy.wanted else _STOPPED,
+            wanted=child.policy.wanted and launcher.switch.activity is Activity.RUNNING,
+            told=child.told,
+            # One that reports when it is asked to end does not hang.
+            silent_ns=max(0, (ended_ns or now_ns) - child.told_ns),
+            idle=child.row.priority == WATCHER_PRIORITY,
+        )
+        for child in launcher.children
+    ]
+
+
 def session_report(launcher: Launcher, collector: Collector) -> SessionReport:
     """The report of what `launcher` runs or has run, until now."""
     return build_report(
@@ -88,6 +116,7 @@ def session_report(launcher: Launcher, collector: Collector) -> SessionReport:
         restarts={child.row.name: child.restarts for child in launcher.children},
         launcher_cpu_s=launcher_cpu_s(),
         stopped_s=launcher.stopped_s,
+        processes=processes_now(launcher, launcher.clock.now_ns()),
     )
 
 
@@ -118,15 +147,7 @@ class SeatFeed:
     def poll_messages(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
         """Return the messages of now; none while nobody watches."""
         self._figures.handle_look(
-            [
-                ProcessNow(
-                    name=child.row.name,
-                    restarts=child.restarts,
-                    running=child.pid is not None,
-                    error=child.last_error if child.policy.wanted else _STOPPED,
-                )
-                for child in launcher.children
-            ],
+            processes_now(launcher, now_ns),
             switch=launcher.switch,
             started_ns=launcher.started_ns,
             now_ns=now_ns,

@@ -26,7 +26,7 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from pipelines.mission.figures import TmtcFigures
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import EventLog, ProcessNow
+from pipelines.report.event_log import EventLog
 from pipelines.report.link_report import gateway_figures, link_figures
 from pipelines.report.model import DirectionReport, GatewayReport, to_builtins
 from pipelines.report.sections import cpu_report, process_report, rtc_now, seat_recording
@@ -38,6 +38,7 @@ from pipelines.report.session_report import (
 )
 from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.sync_figures import LIMITS
+from pipelines.report.verdict import ProcessNow
 from pipelines.seats.figures import HOLDER, PageFigures
 from pipelines.session.figures import Event, gathered
 from pipelines.session.session_switch import Activity, SessionSwitch

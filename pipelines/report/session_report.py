@@ -19,13 +19,20 @@ from pipelines.report.journeys import Pauses, StreamFigures
 from pipelines.report.link_report import gateway_figures, link_figures, punctuality_us
 from pipelines.report.sync_figures import disagreements, sync_section
 from pipelines.report.terms import video_lead
+from pipelines.report.verdict import ProcessNow, process_failures
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import FOXGLOVE, ROBOT, HapticRow
 from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import JoystickFigures, PortFigures, SamplesReceived, SamplesSent
+from telepresence.haptics.figures import (
+    JoystickFigures,
+    PortFigures,
+    RobotFigures,
+    SamplesReceived,
+    SamplesSent,
+)
 from telepresence.link.profile import LinkProfile
 
 
@@ -38,12 +45,14 @@ def build_report(
     launcher_cpu_s: float,
     media: bool = True,
     stopped_s: Sequence[tuple[float, float]] = (),
+    processes: Sequence[ProcessNow] = (),
 ) -> model.SessionReport:
     """The whole report.
 
     seconds: how long the session ran. cpu_s, restarts: of each process, over all its lives.
     media: False if the session had no streams, whatever its setup says.
     stopped_s: from when to when it was stopped on request. That time is in no mean and no failure.
+    processes: as the launcher knows them.
     """
     setup = collector.setup
     streams = setup.streams if media else ()
@@ -81,7 +90,7 @@ def build_report(
             )
             for name in cpu_s
         },
-        failures=failures(collector, seconds, media=media),
+        failures=[*failures(collector, seconds, media=media), *process_failures(processes)],
         warnings=[
             *find_warnings(collector, seconds=seconds, restarts=restarts, media=media),
             *sections.recorder_warnings(collector),
@@ -93,6 +102,7 @@ def build_report(
         rtc=sections.rtc_report(collector, seconds),
         arm=sections.arm_report(collector, _radio_epoch_ns(collector)),
         safety=safety_report(collector),
+        robot=collector.process(ROBOT).find(RobotFigures),
         second_arm=sections.second_arm_report(collector),
         tasks=sections.task_runs(collector, _radio_epoch_ns(collector)),
         telemetry=sections.component_reports(collector, _radio_epoch_ns(collector)),
@@ -258,6 +268,9 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
     joystick = joystick_report(collector)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
+    robot = collector.process(ROBOT).find(RobotFigures)
+    if robot is not None and robot.error:
+        found.append(f"robot: {robot.error}")
     taken = {stream.name for stream in setup.streams if silence.taken_by_page(stream, collector)}
     if topology.alone is None:
         found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)

@@ -93,7 +93,7 @@ def signal_ns(segment: str, collector: Collector) -> int:
     hardly a picture can have come whole, or if fades often end the lock now, near the horizon.
     """
     figures = collector.gateway(Segment(segment))
-    link = figures.link
+    link = figures.newest_link
     if link is None:
         return _FOR_EVER_NS
     supervision, heard = link.supervision, link.receive
@@ -111,7 +111,7 @@ def never_met(collector: Collector, seconds: float) -> list[str]:
     """Each gateway here that has not met the other one, and why, although it should have."""
     found = []
     for segment in collector.topology.segments:
-        link = collector.gateway(segment).link
+        link = collector.gateway(segment).newest_link
         if link is None or seconds * NS_PER_S < _MEET_NS:
             continue
         supervision = link.supervision

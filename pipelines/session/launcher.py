@@ -77,8 +77,11 @@ class Child:
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
-    #: Whether it has reported anything.
+    #: Whether its present life has reported anything, and when: its start, if it has not.
     told: bool = False
+    told_ns: int = 0
+    #: Whether it ran when the end of the session began.
+    ran: bool = False
     #: The error that the present life has reported before its end.
     told_error: str = ""
     #: Whether its present life is to end because the session is stopped.
@@ -299,7 +302,7 @@ class Launcher:
             if not data:
                 self._close_link(child)
                 return
-            now_ns = self.clock.now_ns()
+            now_ns = child.told_ns = self.clock.now_ns()
             message = Message.unpack(data)
             child.told = True
             child.told_error = message.last_error or child.told_error
@@ -331,7 +334,8 @@ class Launcher:
         ours.setblocking(False)
         child.pid, child.link, child.stopped = pid, ours, False
         child.pidfd = os.pidfd_open(pid)
-        child.policy.handle_start(self.clock.now_ns())
+        child.told, child.told_ns = False, self.clock.now_ns()
+        child.policy.handle_start(child.told_ns)
         self._selector.register(ours, selectors.EVENT_READ, child)
         self._selector.register(child.pidfd, selectors.EVENT_READ, child)
 
@@ -387,7 +391,7 @@ class Launcher:
             if os.WIFSIGNALED(status):
                 child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
             else:
-                child.last_error = child.told_error or "ended by itself"
+                child.last_error = child.told_error or session_switch.NO_REASON
         child.told_error = ""
         self.listener.handle_exit(child.row.name, child.last_error)
         if child.stopped:
@@ -413,6 +417,8 @@ class Launcher:
     def _end_all(self) -> None:
         """End all processes; the recorder last, so that it hears the last of the others."""
         self._ending = True
+        for child in self.children:
+            child.ran = child.pid is not None
         self._end([child for child in self.children if child.row.name != RECORDER])
         if self.feed is not None:
             self._feed_pages(self.clock.now_ns())

@@ -138,6 +138,9 @@ SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
 #: Why the kernel sends SIGBUS to a process of a session.
 NO_ROOM = "SIGBUS, because shared memory is full"
 
+#: What is said of a process that ended without a word.
+NO_REASON = "ended by itself"
+
 
 def lacks_room(last_error: str) -> bool:
     """Whether a process ended because shared memory was full."""

@@ -1,6 +1,6 @@
 """Every event of a session is told once, with its instant, in the order of the instants."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import pytest
@@ -12,12 +12,13 @@ from kontur_av.streams.staleness import State
 from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigures
 from pipelines.mission.figures import TaskFigures
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import DEPTH, EventLog, ProcessNow
+from pipelines.report.event_log import DEPTH, EventLog
+from pipelines.report.verdict import ProcessNow
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.table import topology_of
-from telepresence.haptics.figures import JoystickFigures
+from telepresence.haptics.figures import JoystickFigures, RobotFigures
 from telepresence.link.figures import ContactFigures, ContactWindows
 from telepresence.link.peer_path import OpenPath
 from telepresence.tasks.experiment import RunStep
@@ -120,6 +121,19 @@ def test_a_camera_a_restart_and_the_joystick_are_told_once_each(session):
         session.told("joystick", JoystickFigures(**{**unknown, "state": state, "reason": reason}))
         assert session.look(at_s, killed) == [(at_s * 1_000_000, "joystick", f"joystick: {words}")]
     assert session.look(4.5, killed) == []
+
+
+def test_a_robots_fault_and_a_process_that_hangs_are_told_once(session):
+    robot = ProcessNow(name="robot", restarts=0, running=True, error="")
+    session.told("robot", RobotFigures(fault="E217: gripper jammed"))
+    told = [(1_000_000, "session", "robot: it is off: E217: gripper jammed")]
+    assert session.look(1, [robot]) == told
+    hung = replace(robot, silent_ns=4 * NS_PER_S)
+    ((_, what, text),) = session.look(2, [hung])
+    assert what == "process" and text.startswith("robot: it hangs: no cycle ended for 4 s")
+    assert session.look(3, [replace(hung, silent_ns=5 * NS_PER_S)]) == []
+    session.told("robot", RobotFigures())
+    assert session.look(4, [robot]) == [(4_000_000, "session", "robot: its fault is reset")]
 
 
 def test_a_stale_picture_and_a_fresh_one_again(session):

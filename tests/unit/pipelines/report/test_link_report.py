@@ -9,14 +9,8 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.link.figures import SocketFigures
+from pipelines.report import link_report
 from pipelines.report.collector import Collector
-from pipelines.report.link_report import (
-    LinkView,
-    build_link_report,
-    ledger_percent,
-    link_figures,
-    summary_lines,
-)
 from pipelines.report.model import LinkReport, from_json, to_json
 from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -69,7 +63,7 @@ class Link:
 
     def report(self, ends=ENDS, restarts=0):
         names = [f"{end.value}_gateway" for end in ends]
-        return build_link_report(
+        return link_report.build_link_report(
             self.collector,
             ends,
             seconds=self.now_ns / NS_PER_S,
@@ -85,7 +79,7 @@ def haptics(ground, space, now_ns):
 
 
 def test_rates_cover_the_time_since_the_previous_line():
-    link, view = Link(), LinkView(SETUP, ENDS)
+    link, view = Link(), link_report.LinkView(SETUP, ENDS)
     assert view.lines(link.collector, 0.0)[0].endswith("ground: starting")
     link.run(300)
     assert "haptic 0.0" in view.lines(link.collector, 0.3)[0]
@@ -113,7 +107,7 @@ def test_the_summary_shows_the_figures_of_the_report():
         assert sum(report.link[direction].sender.octets.values()) == 400 * octets
     assert report.gateways["ground"].sockets.strangers == {"radio": 4}
     assert report.failures == []
-    text = "\n".join(summary_lines(report))
+    text = "\n".join(link_report.summary_lines(report))
     assert "taskboard, 0.4 s, radio cable" in text
     assert "uplink: 400 frames sent, 2 slips" in text
     ledgers = re.findall(r"of \d+ octets, in %: (.*)", text)
@@ -125,10 +119,10 @@ def test_the_summary_shows_the_figures_of_the_report():
 
 
 def test_a_refusal_is_shown_with_its_reason_and_one_end_alone_reports_its_half():
-    link, view = Link(), LinkView(SETUP, ENDS)
+    link, view = Link(), link_report.LinkView(SETUP, ENDS)
     link.ends[Segment.SPACE] = gateway(Segment.SPACE, setup=BUILT_IN["spacejustin"])
     link.run(100)
-    for lines in (view.lines(link.collector, 0.1), summary_lines(link.report())):
+    for lines in (view.lines(link.collector, 0.1), link_report.summary_lines(link.report())):
         told = [line for line in lines if "refused (" in line]
         assert len(told) == len(ENDS)
         assert all("give both ends the same setup" in line for line in told)
@@ -140,14 +134,14 @@ def test_a_refusal_is_shown_with_its_reason_and_one_end_alone_reports_its_half()
     assert report.link["uplink"].sender.frames == 100
     assert report.link["uplink"].receiver.packets == {}
     assert report.link["downlink"].sender.frames == 0
-    text = "\n".join(summary_lines(report))
+    text = "\n".join(link_report.summary_lines(report))
     assert "downlink received: 0 frames lost" in text
     assert "failed: ground_gateway: started again 1 times" in text
 
 
 @given(st.dictionaries(st.text(min_size=1, max_size=8), st.integers(0, 10**12), max_size=12))
 def test_the_shares_of_the_ledger_add_up_to_exactly_100_percent(octets):
-    shares, total = ledger_percent(octets), sum(octets.values())
+    shares, total = link_report.ledger_percent(octets), sum(octets.values())
     assert sum(round(100 * share) for share in shares.values()) == (10_000 if total else 0)
     assert all(abs(share - 100 * octets[k] / total) < 0.0101 for k, share in shares.items())
 
@@ -155,6 +149,6 @@ def test_the_shares_of_the_ledger_add_up_to_exactly_100_percent(octets):
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=lambda setup: setup.name)
 def test_the_arithmetic_of_a_direction_adds_up_to_its_capacity(setup):
     for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):
-        lines = link_figures(Collector(topology_of(setup)), direction).arithmetic
+        lines = link_report.link_figures(Collector(topology_of(setup)), direction).arithmetic
         assert sum(line.bps for line in lines) == profile.media_bps
         assert (lines[-1].what, lines[-1].bps > 0) == ("spare", True)

@@ -13,10 +13,10 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.figures import marks_of
 from pipelines.recording.messages import RecordedFigure
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import ProcessNow
 from pipelines.report.model import SessionReport, to_builtins
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
+from pipelines.report.verdict import ProcessNow
 from pipelines.session.figures import TrainerFigures
 from pipelines.session.session_switch import SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN

@@ -14,11 +14,11 @@ from kontur_av.streams.staleness import State
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from pipelines.media.figures import DisplayFigures, SelectorFigures
 from pipelines.report.collector import Collector
-from pipelines.report.event_log import ProcessNow
 from pipelines.report.model import to_builtins
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.report.seat_figures import SeatFigures, SeatMessage
 from pipelines.report.session_report import build_report
+from pipelines.report.verdict import ProcessNow
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import (
     LoopFigures,

@@ -19,11 +19,10 @@ from pipelines.report.silence import never_met, signal_ns, silences
 from pipelines.report.summary import first_line
 from pipelines.session.figures import OutRow, ProbeFigures, ShownRow
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Direction, Segment
+from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesReceived, SamplesSent
 from telepresence.link.figures import ContactFigures, ReceiverFigures
-from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]
 PARTS = ("uplink_video_send", "uplink_video_receive", "space_display", "robot", "joystick")
@@ -173,35 +172,6 @@ def test_every_count_of_a_process_is_reported():
     assert display.counts["uplink_video.frames_displayed"] == 30
 
 
-def test_the_counts_of_a_killed_gateway_are_kept():
-    collector, topology = told(), topology_of(SETUP)
-    now_ns, later_ns = 5 * NS_PER_S, 6 * NS_PER_S
-    for packets in (3, 4):
-        gateway = Gateway(
-            transmit=SETUP.uplink,
-            transmit_flows=topology.flows(Direction.UPLINK),
-            receive=SETUP.downlink,
-            receive_flows=topology.flows(Direction.DOWNLINK),
-            master=True,
-            life=packets,
-            now_ns=now_ns,
-        )
-        for k in range(packets):
-            # RTP that gets no context, and after it none at all.
-            gateway.handle_datagram("uplink_video", bytes([0x80, 0x60, 0, k, *bytes(20)]), now_ns)
-        gateway.handle_slot(now_ns)  # supervision's
-        gateway.handle_slot(now_ns)
-        report = gateway.report(later_ns)
-        collector.handle_message("ground_gateway", message(report), later_ns)
-        collector.process("ground_gateway").handle_end()
-    sender = report_of(collector).link["uplink"].sender
-    queue, last = sender.queue["video"], report.transmit.queue["video"]
-    # Also the two of which a part was sent.
-    assert queue.accepted == sum(queue.drops.values()) == 7
-    assert (queue.max_packets, queue.max_octets) == (4, last.max_octets)
-    assert sender.headers["uplink_video"]["packets"] == 2
-
-
 def run_on(collector, *, shown_s, captured_s, seconds=8, camera="left"):
     """The reports, twice a second, of a camera and of the display, until these instants."""
     for half in range(1, 2 * seconds + 1):
@@ -311,6 +281,9 @@ def test_a_session_that_never_met_its_peer_fails_and_a_silence_after_the_pass_is
         lines = never_met(gateway_of(contacts, 14.0), 14.0)
         assert [line.split(":")[0] for line in lines] == ["ground", "space"]
         assert "never met the other end in 14 s: no signal; look at" in lines[0]
+        over = gateway_of(contacts, 14.0)
+        over.handle_exit("ground_gateway", "")
+        assert never_met(over, 14.0) == lines
     assert never_met(gateway_of([contact()], 14.0), 14.0) == []
     # It may not have had the time, or the radio no contact.
     assert never_met(gateway_of([], 5.0), 5.0) == []
@@ -320,7 +293,10 @@ def test_a_session_that_never_met_its_peer_fails_and_a_silence_after_the_pass_is
     inside, after = windows.usable_to_s - 5, windows.usable_to_s + 5
     for at_s, expected_s in ((inside, inside), (after, 0)):
         collector = gateway_of([contact()], at_s, "iss-pass")
-        assert signal_ns("space", collector) == round(expected_s * NS_PER_S)
+        for _ in range(2):
+            assert signal_ns("space", collector) == round(expected_s * NS_PER_S)
+            # The same once the session is over, and the gateway has ended.
+            collector.handle_exit("space_gateway", "")
 
 
 SPLIT, SECONDS = BUILT_IN["spacejustin"], 60

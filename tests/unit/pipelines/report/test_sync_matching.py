@@ -11,13 +11,7 @@ from hypothesis import strategies as st
 from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.report.sync_figures import (
-    LIMITS,
-    SyncFigures,
-    disagreements,
-    skew_summary,
-    sync_section,
-)
+from pipelines.report import sync_figures
 from pipelines.report.sync_matching import LEAST_VERDICT, Matched, judge, match, median_interval
 from pipelines.session.figures import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -71,7 +65,7 @@ def test_a_weak_and_distant_finding_and_one_too_soon_are_ignored():
 
 def figures(stamp_off_ms=0.0, contacts=10, slack_ms=33):
     """Contacts 2.03 s apart; light after 70 ms, click after 50, force after 3."""
-    sync = SyncFigures()
+    sync = sync_figures.SyncFigures()
     for number in range(contacts):
         at_ns = number * 2030 * MS
         off_ns = round(stamp_off_ms * MS)
@@ -97,7 +91,7 @@ def test_latencies_skews_verdicts_bounces_and_touches_beside_a_target():
     skews = {name: skew.p50 for name, skew in report.skew_ms.items()}
     assert skews == {"video_haptic": 67, "audio_haptic": 47, "audio_video": -20}
     assert report.skew_ms["audio_video"].within == 1.0
-    assert disagreements(report) == []
+    assert sync_figures.disagreements(report) == []
     sync = figures()
     sync.handle_series(series([ContactRow(50 * MS, 1), ContactRow(1000 * MS, -1)]))
     report = sync.report(SENSES)
@@ -106,10 +100,12 @@ def test_latencies_skews_verdicts_bounces_and_touches_beside_a_target():
     # The limits of the cited papers: touch 15 ms before sight, and 24 before sound.
     limits = {"audio_video": (-45, 125), "video_haptic": (-50, 15), "audio_haptic": (0, 24)}
     for name, (least_ms, most_ms) in limits.items():
-        assert LIMITS[name].holds(least_ms * MS) and LIMITS[name].holds(most_ms * MS)
-        assert not LIMITS[name].holds((most_ms + 1) * MS)
-    assert not LIMITS["audio_video"].holds(-46 * MS)
-    assert skew_summary("audio_haptic", [10 * MS, 30 * MS]).within == 0.5
+        assert sync_figures.LIMITS[name].holds(least_ms * MS) and sync_figures.LIMITS[name].holds(
+            most_ms * MS
+        )
+        assert not sync_figures.LIMITS[name].holds((most_ms + 1) * MS)
+    assert not sync_figures.LIMITS["audio_video"].holds(-46 * MS)
+    assert sync_figures.skew_summary("audio_haptic", [10 * MS, 30 * MS]).within == 0.5
 
 
 @pytest.mark.parametrize(
@@ -118,29 +114,17 @@ def test_latencies_skews_verdicts_bounces_and_touches_beside_a_target():
 )
 def test_stamps_that_are_off_are_named_after_more_than_two_contacts(off_ms, contacts, wrong):
     report = figures(off_ms, contacts).report(SENSES)
-    lines = disagreements(report)
+    lines = sync_figures.disagreements(report)
     assert len(lines) == wrong
     assert all("disagree" in line for line in lines)
     # A stream that carried a page is not judged.
     page = report.senses["light"].stream
-    judged = disagreements(report, unjudged={page})
+    judged = sync_figures.disagreements(report, unjudged={page})
     assert judged == [line for line in lines if not line.startswith(page)]
 
 
-@pytest.mark.parametrize("late_ms", [1, 11, 200])
-def test_the_last_contact_is_not_missed_because_its_force_has_no_stamp_yet(late_ms):
-    soonest_ns, end_ns = min(late_ms, 10) * MS, 20 * NS_PER_S
-    for before_end_ms in range(900, 1300, 10):
-        sync = SyncFigures(soonest_ns=soonest_ns)
-        for at_ns in (9 * NS_PER_S, end_ns - before_end_ms * MS):
-            sync.handle_series(series([ContactRow(at_ns, 0)]))
-            sync.handle_series(series([StepRow(at_ns + late_ms * MS)]))
-        sync.handle_time(end_ns, lambda instant_ns: instant_ns)
-        assert sync.report(["force"]).senses["force"].missed == 0
-
-
 def test_a_session_of_many_contacts_has_bounded_memory_and_exact_figures():
-    draw, sync, sizes = np.random.default_rng(3), SyncFigures(), []
+    draw, sync, sizes = np.random.default_rng(3), sync_figures.SyncFigures(), []
     period_ns, count = 2030 * MS, 8000
     late_ms = draw.uniform([60, 10, 2], [90, 70, 6], (count, 3))
     for number, delays_ns in enumerate((late_ms * MS).astype(int).tolist()):
@@ -182,9 +166,9 @@ def test_a_session_of_many_contacts_has_bounded_memory_and_exact_figures():
 def test_a_flash_in_a_film_or_a_click_at_a_microphone_is_no_contact(sources, senses):
     setup = replace(BUILT_IN["spacejustin"], sources=sources)
     # As if each stamp were 40 ms late.
-    section = sync_section(setup, figures(40), media=True)
+    section = sync_figures.sync_section(setup, figures(40), media=True)
     assert [sense for sense, found in section.senses.items() if found] == senses
-    assert len(disagreements(section)) == len(senses) - 1
+    assert len(sync_figures.disagreements(section)) == len(senses) - 1
 
 
 def perceived(errors_ms, strengths=None, slack_ms=0):

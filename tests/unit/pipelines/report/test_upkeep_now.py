@@ -8,13 +8,8 @@ from told import gateway, message
 
 from kontur_av.clock import NS_PER_S
 from pipelines.mission.figures import TaskFigures
+from pipelines.report import upkeep_now
 from pipelines.report.collector import Collector
-from pipelines.report.upkeep_now import (
-    BandwidthWatch,
-    ContactAhead,
-    ExperimentWatch,
-    planned_contact,
-)
 from pipelines.seats.figures import PageFigures
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
@@ -41,7 +36,7 @@ def test_signal_drop_outs_and_shadowing_are_announced_with_the_time_left():
     profile = replace(
         load_radio("iss-pass"), start_s=100.0, blackouts=(Blackout(start_s=80.0, seconds=5.0),)
     )
-    ahead = ContactAhead(planned_contact(profile, profile.contact_windows()))
+    ahead = upkeep_now.ContactAhead(upkeep_now.planned_contact(profile, profile.contact_windows()))
     said = [
         (round(at_s), words)
         for half in range(2 * 500)
@@ -100,7 +95,7 @@ def test_an_experiment_runs_while_a_task_does_or_a_person_has_the_arm(
     options, process, figures, runs
 ):
     found = collector(**options)
-    watch = ExperimentWatch(found)
+    watch = upkeep_now.ExperimentWatch(found)
     assert watch.handle_time(NS_PER_S) == ""
     tell(found, process, figures)
     words = watch.handle_time(2 * NS_PER_S)
@@ -110,7 +105,7 @@ def test_an_experiment_runs_while_a_task_does_or_a_person_has_the_arm(
 
 def test_a_hand_that_lets_go_for_a_moment_has_not_ended_it_and_a_stopped_process_has():
     released, silent = collector(), collector()
-    watches = [ExperimentWatch(one) for one in (released, silent)]
+    watches = [upkeep_now.ExperimentWatch(one) for one in (released, silent)]
     for one, watch in zip((released, silent), watches, strict=True):
         tell(one, "robot", robot(Hold.NONE), at_s=20)
         assert watch.handle_time(20 * NS_PER_S)
@@ -122,7 +117,7 @@ def test_a_hand_that_lets_go_for_a_moment_has_not_ended_it_and_a_stopped_process
 
 def test_of_attached_programs_their_samples_say_it():
     found = collector()
-    watch = ExperimentWatch(found, attached=True)
+    watch = upkeep_now.ExperimentWatch(found, attached=True)
 
     def pass_samples(sent, received):
         transmit = SenderFigures(haptic_sent=sent)
@@ -140,7 +135,7 @@ def test_of_attached_programs_their_samples_say_it():
 
 def test_media_dropped_for_want_of_bandwidth_are_told_once_until_they_pass_again():
     found = collector()
-    watch = BandwidthWatch(found)
+    watch = upkeep_now.BandwidthWatch(found)
 
     def look(at_s, **drops):
         queue = {"video": SimpleNamespace(drops=drops)}
