@@ -15,8 +15,13 @@ from pipelines.commands.check_results import (
 )
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.driver_checks import JoystickCheck, run_live, run_virtually
+from pipelines.hand.timed_calls import timed
 from pipelines.report.report_file import check_writable, words_console, write_report
-from pipelines.session.command_process import output_that_may_fail, stopped_by_signals
+from pipelines.session.command_process import (
+    ended_alike,
+    output_that_may_fail,
+    stopped_by_signals,
+)
 from pipelines.session.option_rows import add_actions
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
@@ -86,7 +91,9 @@ def _check(spec: str, axes: Sequence[AxisName] | None) -> int:
     say_unprotected(spec)
     device, console = open_alone(spec, axes=axes), words_console()
     console.print(f"{device.facts.name}; it moves a few centimetres: hands off", highlight=False)
-    return print_results(console, list(JoystickCheck(device, MonotonicClock()).run()))
+    # Whatever ends it, the joystick is closed.
+    with ended_alike(), timed(device) as joystick:
+        return print_results(console, list(JoystickCheck(joystick, MonotonicClock()).run()))
 
 
 def _test(spec: str, check: str, report: Path | None) -> int:

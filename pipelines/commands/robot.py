@@ -14,7 +14,9 @@ from pipelines.hand.haptic_loop import new_life
 from pipelines.hand.haptics import robot_side
 from pipelines.hand.partner_arm import keep_powered, run_side, told
 from pipelines.hand.safety_ends import within
+from pipelines.hand.timed_calls import timed
 from pipelines.report.report_file import words_console
+from pipelines.session.command_process import ended_alike
 from pipelines.session.option_rows import add_actions
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import Robot
@@ -42,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
         return _serve(args)
     axes = axes_of(args.setup)
     if axes is not None:
+        # Before it has power, if its facts are known then.
         check_robot(args.robot, axes)
     device = load_robot(args.robot, axes or ())
     if isinstance(device, Robot):
@@ -49,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
     say_unprotected(args.robot)
     console = words_console()
     console.print(f"{args.robot}; it moves a few centimetres", highlight=False)
-    return print_results(console, list(RobotCheck(device, MonotonicClock()).run()))
+    # Whatever ends it, the robot is switched off.
+    with ended_alike(), timed(device) as robot:
+        return print_results(console, list(RobotCheck(robot, MonotonicClock(), axes).run()))
 
 
 def _serve(args: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotSt
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.envelope import SafetyEnvelope
+from telepresence.haptics.figures import RobotFigures
 from telepresence.haptics.ownership import Owner, PartnerBoard
 from telepresence.haptics.robot import RobotFacts
 from telepresence.haptics.sample import STATE_HALTED
@@ -132,6 +133,11 @@ class RobotDesk:
             return None
         self._due_ns, self._told = now_ns + STATUS_NS, present
         return self.status(now_ns)
+
+    def report(self) -> RobotFigures:
+        """Return the robot's fault, and how many there were."""
+        control = self.control
+        return RobotFigures(fault=control.fault, error=control.robot.error, faults=control.faults)
 
     def status(self, now_ns: int) -> RobotStatus:
         if now_ns - self._counted_ns >= _RATE_NS:

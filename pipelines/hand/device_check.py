@@ -9,16 +9,25 @@ other axes get no force, or stay.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import replace
+from functools import partial
 from itertools import groupby
 from math import hypot, isfinite
-from numbers import Integral, Real
-from typing import Any, Generic, Literal, TypeVar, get_args, get_origin
+from resource import RUSAGE_THREAD, getrusage
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
-from telepresence.haptics.axes import AxisFacts, AxisReading, MoreAxis
+from kontur_av.errors import ConfigError
+from kontur_av.returned import PartError, fault_of, taken
+from telepresence.haptics.axes import (
+    AxisFacts,
+    AxisName,
+    AxisReading,
+    MoreAxis,
+    check_axes,
+)
 from telepresence.haptics.device.device import JoystickFacts, JoystickReading
 from telepresence.haptics.device.script import CheckResult, Figure
 from telepresence.haptics.robot import RobotFacts
@@ -134,7 +143,7 @@ _LEAST_J = -1e-3
 
 R = TypeVar("R", JoystickReading, RobotReading)
 #: These are checked of the whole device only.
-_WHOLE = {"zero", "dead-man button", "cycle time", "power off", "unplugged"}
+_WHOLE = {"zero", "dead-man button", "cycle time", "errors", "power off", "unplugged"}
 #: What to write, given the share of the time that has passed.
 Order = Callable[[float], tuple[float, float]]
 #: A check by its name, and why this device cannot be asked; "" if it can.
@@ -144,7 +153,8 @@ Check = tuple[str, Callable[[], tuple[Figure, ...]], str]
 class DeviceCheck(Generic[R]):
     """Runs the checks of one device; each is a method, and `run` yields their results.
 
-    clock: paces the cycles, and times the calls.
+    clock: paces the cycles, and times the calls. axes: those behind x and y that it is to have;
+    None: any.
     """
 
     #: The class of the device's facts, which are asked for when it is switched on.
@@ -152,9 +162,11 @@ class DeviceCheck(Generic[R]):
     #: What shows one of its axes behind x and y as a device.
     _view: type["RobotAxis | JoystickAxis"]
 
-    def __init__(self, device: Any, clock: Clock) -> None:
-        self._device, self._clock = device, clock
+    def __init__(self, device: Any, clock: Clock, axes: Sequence[AxisName] | None = None) -> None:
+        self._device, self._clock, self._axes = device, clock, axes
+        #: Of the calls that the machine did not interrupt.
         self._calls_ns: list[int] = []
+        self._interrupted = 0
         self._readings: list[R] = []
         #: While it was pushed by `moves`; it may not measure the same all the time.
         self._pushed: list[R] = []
@@ -169,14 +181,35 @@ class DeviceCheck(Generic[R]):
         self._axis: MoreAxis | None = None
 
     def run(self) -> Iterator[CheckResult]:
-        """Switch on, check, switch off; yield a result for each check."""
-        facts = self._switch_on()
+        """Switch on, check, switch off; yield a result for each check.
+
+        Raises ConfigError if it cannot be switched on or off.
+        """
         try:
-            yield CheckResult("facts", trouble=wrong_facts(facts, self._known))
+            facts = self._switched_on()
+            yield self._check("facts", lambda: self._facts(facts))
             for name, check, lacks in self._checks():
                 yield CheckResult(name, skipped=lacks) if lacks else self._check(name, check)
         finally:
-            self._switch_off()
+            try:
+                self._switch_off()
+            except Exception as error:
+                words = fault_of("power_off()", error)
+                raise ConfigError(f"{words}: it may still have power") from error
+
+    def _switched_on(self) -> Any:
+        try:
+            facts = self._switch_on()
+            if self._axes is not None:
+                check_axes(facts.name, facts.more, self._axes)
+        except Exception as error:
+            raise ConfigError(fault_of("the driver", error)) from error
+        return facts
+
+    def _facts(self, facts: Any) -> tuple[Figure, ...]:
+        """They can be."""
+        taken(self._known, facts, "facts")
+        return ()
 
     def moves(self) -> tuple[Figure, ...]:
         """It moves along each axis where it is pushed, or led, and not aside."""
@@ -209,9 +242,23 @@ class DeviceCheck(Generic[R]):
         )
 
     def cycle_time(self) -> tuple[Figure, ...]:
-        """Its calls leave room for the session's own work."""
-        longest = float(np.percentile(self._calls_ns, 99.9)) / NS_PER_MS
-        return (Figure("its calls, p99.9", longest, "ms", most=_MOST_CYCLE_MS),)
+        """Its calls leave room for the session's own work.
+
+        A call in which another program took the processor says nothing of the driver.
+        """
+        longest = float(np.percentile(self._calls_ns or [0], 99.9)) / NS_PER_MS
+        return (
+            Figure("its calls, p99.9", longest, "ms", most=_MOST_CYCLE_MS),
+            Figure("interrupted by the machine", self._interrupted),
+        )
+
+    def errors(self) -> tuple[Figure, ...]:
+        """No reading names an error, nor in a rest at the end; else its own words are told."""
+        self._cycles(2 * SPELL_NS, None)
+        for one in self._readings:
+            if one.error:
+                raise PartError(one.error)
+        return (Figure("with an error", 0, most=0),)
 
     def _switch_on(self) -> Any:
         """Switch the device on; return its facts."""
@@ -262,17 +309,18 @@ class DeviceCheck(Generic[R]):
                 view = self._view(self._device, index)
                 check = type(self)(view, self._clock)
                 check._axis, check._calls_ns = view.axis, self._calls_ns
+                in_its_unit = partial(_in_its_unit, lever_m=facts.lever_m)
                 check._switch_on()
                 for name, each, lacks in check._checks():
                     if name not in _WHOLE:
-                        yield f"{facts.name} {name}", each, lacks
+                        yield f"{facts.name} {name}", partial(in_its_unit, each), lacks
 
     def _check(self, name: str, check: Callable[[], tuple[Figure, ...]]) -> CheckResult:
         try:
             return CheckResult(name, check())
         except Exception as error:
             # The driver is the user's: whatever it raises is a finding.
-            return CheckResult(name, trouble=f"{type(error).__name__}: {error}")
+            return CheckResult(name, trouble=fault_of("the driver", error))
 
     def _still(self, readings: list[R]) -> tuple[Figure, ...]:
         first = readings[0]
@@ -314,10 +362,14 @@ class DeviceCheck(Generic[R]):
             due_ns += NS_PER_MS
             clock.sleep_until_ns(due_ns)
             wanted = None if order is None else order((cycle + 1) / count)
+            taken_away = getrusage(RUSAGE_THREAD).ru_nivcsw
             begin_ns = clock.now_ns()
             last = self._cycle(wanted, began)
             end_ns = clock.now_ns()
-            self._calls_ns.append(end_ns - begin_ns)
+            if getrusage(RUSAGE_THREAD).ru_nivcsw == taken_away:
+                self._calls_ns.append(end_ns - begin_ns)
+            else:
+                self._interrupted += 1
             readings.append(last)
             self._readings.append(last)
             step_m = max(abs(last.x_m - before.x_m), abs(last.y_m - before.y_m))
@@ -338,27 +390,25 @@ def speed(reading: JoystickReading | RobotReading) -> float:
     return hypot(reading.vx_m_s, reading.vy_m_s)
 
 
+def _in_its_unit(check: Callable[[], tuple[Figure, ...]], *, lever_m: float) -> tuple[Figure, ...]:
+    """Figures of a rotation in rad instead of the path at its lever."""
+    figures = check()
+    if lever_m == 1.0:
+        return figures
+    return tuple(_rotated(each, lever_m) for each in figures)
+
+
+def _rotated(figure: Figure, lever_m: float) -> Figure:
+    unit = {"mm": "mrad", "m/s": "rad/s"}.get(figure.unit)
+    if unit is None:
+        return figure
+    changes = {
+        name: getattr(figure, name) / lever_m
+        for name in ("value", "least", "most")
+        if getattr(figure, name) is not None
+    }
+    return replace(figure, unit=unit, **changes)
+
+
 def along(axis: int, size: float) -> tuple[float, float]:
     return (0.0, size) if axis else (size, 0.0)
-
-
-def wrong_facts(facts: Any, known: type) -> str:
-    """Return what is wrong with a device's facts, in one line; "" if they can be."""
-    if not isinstance(facts, known):
-        return f"they are a {type(facts).__name__}, not {known.__name__}"
-    for field in fields(known):
-        value, kind = getattr(facts, field.name), field.type
-        if kind in (float, int):
-            number = isinstance(value, Real if kind is float else Integral) and isfinite(value)
-            # What may be missing, such as motors and buttons, has a default of 0.
-            positive = field.default is MISSING or field.default > 0
-            if not number or value < 0 or (positive and value == 0):
-                least = "above 0" if positive else "of at least 0"
-                return f"{field.name} is {value!r}: give a number {least}"
-        elif field.name == "more" and not all(isinstance(one, AxisFacts) for one in value):
-            return f"more is {value!r}: give AxisFacts"
-        elif kind is str and not (isinstance(value, str) and value):
-            return f"{field.name} is {value!r}: give a text"
-        elif get_origin(kind) is Literal and value not in get_args(kind):
-            return f"{field.name} is {value!r}: one of {', '.join(get_args(kind))}"
-    return ""

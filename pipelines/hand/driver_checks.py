@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
+from kontur_av.returned import taken
 from pipelines.hand.device_check import (
     GENTLE,
     SPELL_NS,
@@ -21,7 +22,7 @@ from pipelines.hand.device_check import (
     along,
     speed,
 )
-from telepresence.haptics.axes import MoreAxes
+from telepresence.haptics.axes import AxisName, MoreAxes
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.device import (
     KEEPS_FORCE_NS,
@@ -50,8 +51,10 @@ class RobotCheck(DeviceCheck[RobotReading]):
     _known, _view = RobotFacts, RobotAxis
     _device: RobotDevice
 
-    def __init__(self, device: RobotDevice, clock: Clock) -> None:
-        super().__init__(device, clock)
+    def __init__(
+        self, device: RobotDevice, clock: Clock, axes: Sequence[AxisName] | None = None
+    ) -> None:
+        super().__init__(device, clock, axes)
         self._takes_force = self._powered = False
         self._deactivations_ns: list[int] = []
         #: Where the axes behind x and y were when it was activated, and stay.
@@ -98,12 +101,10 @@ class RobotCheck(DeviceCheck[RobotReading]):
         return (Figure("least speed", min(map(speed, after)), "m/s", most=STILL_M_S),)
 
     def readings(self) -> tuple[Figure, ...]:
-        """All measurements are numbers, follow one from the other, and name no error."""
-        errors = sum(bool(one.error) for one in self._readings)
+        """All measurements are numbers, and follow one from the other."""
         most = 2 * self._device.facts.speed_m_s
         return (
             *self._number_figures([one[:6] for one in self._readings]),
-            Figure("with an error", errors, most=0),
             Figure("steps", self._step_m_s, "m/s", most=most),
         )
 
@@ -124,8 +125,8 @@ class RobotCheck(DeviceCheck[RobotReading]):
         device.configure()
         self._takes_force = device.facts.takes == "force"
         self._runs_alone = device.facts.runs_alone
-        device.power_on()
         self._powered = True
+        device.power_on()
         return device.facts
 
     def _switch_off(self) -> None:
@@ -146,6 +147,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
             ("readings", self.readings, ""),
             *self._axes_checks(),
             ("cycle time", self.cycle_time, ""),
+            ("errors", self.errors, ""),
             ("power off", self.power_off, ""),
         )
 
@@ -177,7 +179,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         return pushed
 
     def _read(self) -> RobotReading:
-        return self._device.read()
+        return taken(RobotReading, self._device.read(), "read()")
 
     def _cycle(self, wanted: tuple[float, float] | None, began: RobotReading) -> RobotReading:
         device = self._device
@@ -192,7 +194,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
             else:
                 axes.write_more_positions(self._places, none)
         device.advance(NS_PER_MS)
-        return device.read()
+        return self._read()
 
     def _power_w(self, wanted: tuple[float, float], reading: RobotReading) -> float:
         pushed = wanted[0] + reading.push_x_n, wanted[1] + reading.push_y_n
@@ -311,6 +313,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
             *self._axes_checks(),
             ("dead-man button", self.dead_man, ""),
             ("cycle time", self.cycle_time, ""),
+            ("errors", self.errors, ""),
             ("unplugged", self.unplugged, ""),
         )
 
@@ -327,7 +330,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         return pushed
 
     def _read(self) -> JoystickReading:
-        return self._device.read()
+        return taken(JoystickReading, self._device.read(), "read()")
 
     def _cycle(self, wanted: tuple[float, float] | None, began: JoystickReading) -> JoystickReading:
         device = self._device
@@ -336,7 +339,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
             if more := device.facts.more:
                 cast(MoreAxes, device).write_more_forces([0.0] * len(more))
         device.advance(NS_PER_MS)
-        return device.read()
+        return self._read()
 
 
 _CYCLE_NS = NS_PER_MS

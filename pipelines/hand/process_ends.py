@@ -224,6 +224,7 @@ def run_robot(context: Context) -> None:
         desk = RobotDesk(
             end.side, life=life, tasks=tasks, now_ns=now_ns, orders=orders, board=board
         )
+        context.on_flush(lambda: context.probe.tell(desk.report()))
         seldom = [
             follow_stop(kept, end),
             _trace(bus, ROBOT_TRACE_TOPIC, end.trace),

@@ -118,6 +118,18 @@ class JoystickFigures(OperationFigures):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RobotFigures:
+    """A robot in a session (`RobotControl`)."""
+
+    #: Its fault now, in its driver's own words; empty: none. It is off meanwhile.
+    fault: Newest[str] = ""
+    #: What its driver says is wrong now; empty: nothing.
+    error: Newest[str] = ""
+    #: Faults so far.
+    faults: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class UdpFigures:
     """A robot's or joystick's controller that is reached by UDP (`UdpSession`)."""
 

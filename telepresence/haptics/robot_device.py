@@ -8,7 +8,9 @@ from itertools import chain
 from math import hypot, isfinite
 from typing import NamedTuple, Protocol, cast
 
-from telepresence.haptics.axes import MoreAxes, MoreAxis, SimulatedAxis
+from kontur_av.errors import ConfigError
+from kontur_av.returned import fault_of, taken
+from telepresence.haptics.axes import AxisReading, MoreAxes, MoreAxis, SimulatedAxis
 from telepresence.haptics.robot import JointReading, Robot, RobotFacts
 from telepresence.haptics.sample import MODE_OFF
 
@@ -98,29 +100,45 @@ class _Surroundings:
 class DrivenRobot(Robot):
     """A `Robot` that is a user's. Its modes are those of the simulated one, at the tip.
 
+    Whatever the driver returns or raises, the session goes on: it is an error of the robot.
+
     device: its driver.
     error: why it cannot go on; the session then switches it off.
+    Raises ConfigError, without power, if it does not come up.
     """
 
     def __init__(self, device: RobotDevice) -> None:
         self.device = device
-        self._active = False
+        self._active = self._powered = False
         self._joints: tuple[JointReading, ...] = ()
-        device.configure()
-        self.facts = facts = device.facts
-        self._takes_places = facts.takes == "position"
+        #: Why its power could not be taken; "" if it was.
+        self._stuck = ""
         self._surroundings = _Surroundings()
-        device.power_on()
-        first = device.read()
-        super().__init__(x_m=first.x_m, y_m=first.y_m)
-        #: As the driver has them; None without more axes.
-        self._axes: MoreAxes | None = cast(MoreAxes, device) if facts.more else None
-        if self._takes_places:
-            self.more = [SimulatedAxis(each, meets=False) for each in facts.more]
-        else:
-            self.more = [MoreAxis(each) for each in facts.more]
-        if self._axes is not None:
-            self._take_more(self._axes, stand=True)
+        call = "configure()"
+        try:
+            device.configure()
+            call = "facts"
+            self.facts = facts = taken(RobotFacts, device.facts, call)
+            call = "power_on()"
+            self._powered = True
+            device.power_on()
+            call = "read()"
+            first = taken(RobotReading, device.read(), call)
+            super().__init__(x_m=first.x_m, y_m=first.y_m)
+            self._takes_places = facts.takes == "position"
+            #: As the driver has them; None without more axes.
+            self._axes: MoreAxes | None = cast(MoreAxes, device) if facts.more else None
+            if self._takes_places:
+                self.more = [SimulatedAxis(each, meets=False) for each in facts.more]
+            else:
+                self.more = [MoreAxis(each) for each in facts.more]
+            if self._axes is not None:
+                self._take_more(self._axes, stand=True)
+        except Exception as error:
+            words = fault_of(call, error)
+            self._follow(active=False)
+            self._take_power()
+            raise ConfigError(words + (f"; {self._stuck}" if self._stuck else "")) from error
         self._press = self._surroundings.press
         self._limit = min(facts.force_limit_n, self.model.force_limit_n)
         self._take(first)
@@ -134,48 +152,72 @@ class DrivenRobot(Robot):
             super().drive(dt_ns)
             return
         # Its own brakes hold it.
-        self.device.advance(dt_ns)
-        self._take(self.device.read())
-        if self._axes is not None:
-            self._take_more(self._axes, stand=True)
+        call = "advance()"
+        try:
+            self.device.advance(dt_ns)
+            call = "read()"
+            self._take(taken(RobotReading, self.device.read(), call))
+            if self._axes is not None:
+                call = "read_more()"
+                self._take_more(self._axes, stand=True)
+        except Exception as error:
+            self.error = fault_of(call, error)
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
-        device, limit = self.device, self._limit
         if self._takes_places:
             super().step(fx_n, fy_n, dt_ns)
-            device.write_position(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
+        else:
+            limit = self._limit
+            fx_n, fy_n = max(-limit, min(limit, fx_n)), max(-limit, min(limit, fy_n))
+        call = "write_force()"
+        try:
+            if self._takes_places:
+                call = "write_position()"
+                self._lead()
+            else:
+                self._push(fx_n, fy_n)
+            call = "advance()"
+            self.device.advance(dt_ns)
+            call = "read()"
+            reading = taken(RobotReading, self.device.read(), call)
+            call = "read_more()"
+            if self._takes_places:
+                off_m = hypot(reading.x_m - self.x_m, reading.y_m - self.y_m)
+                if self._feel(reading) and not off_m < _LAG_M:
+                    self.error = "it does not follow the places that it is given"
+            else:
+                self._take(reading)
+                self.work_j += (fx_n * self.vx_m_s + fy_n * self.vy_m_s) * dt_ns / 1e9
             if self._axes is not None:
-                self._axes.write_more_positions(
-                    [axis.place_m / axis.lever_m for axis in self.more],
-                    [axis.speed_m_s / axis.lever_m for axis in self.more],
-                )
-            device.advance(dt_ns)
-            reading = device.read()
-            off_m = hypot(reading.x_m - self.x_m, reading.y_m - self.y_m)
-            if self._feel(reading) and not off_m < _LAG_M:
-                self.error = "it does not follow the places that it is given"
-            if self._axes is not None:
-                self._take_more(self._axes, stand=False)
-            return
-        fx_n, fy_n = max(-limit, min(limit, fx_n)), max(-limit, min(limit, fy_n))
-        device.write_force(fx_n, fy_n)
+                self._take_more(self._axes, stand=not self._takes_places)
+        except Exception as error:
+            # The driver is the user's: whatever it raises is an error of the robot.
+            self.error = fault_of(call, error)
+
+    def _lead(self) -> None:
+        """Write the places that the virtual masses have reached."""
+        self.device.write_position(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
+        if self._axes is not None:
+            self._axes.write_more_positions(
+                [axis.place_m / axis.lever_m for axis in self.more],
+                [axis.speed_m_s / axis.lever_m for axis in self.more],
+            )
+
+    def _push(self, fx_n: float, fy_n: float) -> None:
+        """Write the forces."""
+        self.device.write_force(fx_n, fy_n)
         if self._axes is not None:
             brake = 0.0 if self.coupled else self.model.brake_n_s_m
             for axis in self.more:
                 axis.force_n -= brake * axis.speed_m_s
             self._axes.write_more_forces([axis.cut_n * axis.lever_m for axis in self.more])
-        device.advance(dt_ns)
-        self._take(device.read())
-        if self._axes is not None:
-            self._take_more(self._axes, stand=True)
-        self.work_j += (fx_n * self.vx_m_s + fy_n * self.vy_m_s) * dt_ns / 1e9
 
     def close(self) -> None:
-        """Switch it off for good."""
-        try:
-            self._follow(active=False)
-        finally:
-            self.device.power_off()
+        """Switch it off for good. Raises ConfigError if its power could not be taken."""
+        self._follow(active=False)
+        self._take_power()
+        if self._stuck:
+            raise ConfigError(self._stuck)
 
     @property
     def joints(self) -> tuple[JointReading, ...]:
@@ -185,9 +227,33 @@ class DrivenRobot(Robot):
         return None
 
     def _follow(self, *, active: bool) -> None:
-        if active is not self._active:
-            self._active = active
+        if active is self._active:
+            return
+        self._active = active
+        call = "activate()" if active else "deactivate()"
+        try:
+            if active and not self._powered:
+                call = "power_on()"
+                self.device.power_on()
+                self._powered = True
+                call = "activate()"
             (self.device.activate if active else self.device.deactivate)()
+        except Exception as error:
+            self.error = fault_of(call, error)
+            if not active:
+                # It does not brake, so it must not have power.
+                self._take_power()
+
+    def _take_power(self) -> None:
+        """Take its power; `_stuck` says why that failed."""
+        if not self._powered:
+            return
+        try:
+            self.device.power_off()
+            self._powered, self._stuck = False, ""
+        except Exception as error:
+            self._stuck = f"{fault_of('power_off()', error)}: it may still have power"
+            self.error = f"{self.error}; {self._stuck}" if self.error else self._stuck
 
     def _take(self, reading: RobotReading) -> None:
         if self._feel(reading):
@@ -195,7 +261,8 @@ class DrivenRobot(Robot):
 
     def _take_more(self, axes: MoreAxes, *, stand: bool) -> None:
         """Take the measurements behind x and y; stand: also the places, else the forces only."""
-        for axis, reading in zip(self.more, axes.read_more(), strict=True):
+        readings = taken(tuple[AxisReading, ...], axes.read_more(), "read_more()")
+        for axis, reading in zip(self.more, readings, strict=True):
             place_m, speed_m_s = axis.place_m, axis.speed_m_s
             trouble = axis.take(reading)
             if not stand:

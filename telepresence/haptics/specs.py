@@ -22,8 +22,10 @@ from collections.abc import Sequence
 
 from kontur_av.errors import ConfigError
 from kontur_av.parts import PartDoor, make_part
+from kontur_av.returned import PartError
 from telepresence.haptics.axes import AxisName, check_axes
 from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.user import UserJoystick
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.robot import Robot, RobotFacts
 from telepresence.haptics.robot_device import SIMULATED_ROBOT, DrivenRobot, RobotDevice
@@ -77,6 +79,11 @@ def open_device(
     hand: holds a simulated joystick in the application. axes: those behind x and y; None: any.
     """
     device: JoystickDevice = make_part(spec, JOYSTICK_DOOR, hand=hand, axes=axes or ())
+    if spec.partition(":")[0] not in JOYSTICK_DOOR.built_in:
+        try:
+            device = UserJoystick(device)
+        except PartError as error:
+            raise ConfigError(f"joystick {spec}: {error}") from None
     if axes is not None:
         check_axes(f"joystick {spec}", device.facts.more, axes)
     return device

@@ -18,9 +18,10 @@ class JoystickReading(NamedTuple):
     found the middle.
     vx_m_s, vy_m_s: its velocity.
     buttons: one bit for each pressed button, 0x1 for the first.
-    dead_man: the dead-man button is pressed.
+    dead_man: the dead-man button is pressed; the driver must say so.
     temperature_c: of the hotter motor; None without a sensor.
     present: False once the device is unplugged or closed, and from then on.
+    error: why it cannot go on, in one line; "" if it can.
     """
 
     x_m: float
@@ -28,9 +29,10 @@ class JoystickReading(NamedTuple):
     vx_m_s: float
     vy_m_s: float
     buttons: int = 0
-    dead_man: bool = True
+    dead_man: bool = False
     temperature_c: float | None = None
     present: bool = True
+    error: str = ""
 
     def place(self, axis: int) -> float:
         """Return the position (m) along x for axis 0, along y for axis 1."""

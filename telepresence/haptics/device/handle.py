@@ -6,6 +6,7 @@ from dataclasses import asdict
 from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.returned import fault_of
 from telepresence.haptics.axes import MoreAxes, MoreAxis
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import JoystickOperation
@@ -107,9 +108,12 @@ class OperatedHandle:
         self._now_ns = now_ns = self._now_ns + dt_ns
         reading = operation.handle_reading(now_ns)
         if axes is not None:
-            for axis, more in zip(self.more, axes.read_more(), strict=True):
-                if trouble := axis.take(more):
-                    operation.handle_trouble(trouble, now_ns)
+            try:
+                for axis, more in zip(self.more, axes.read_more(), strict=True):
+                    if trouble := axis.take(more):
+                        operation.handle_trouble(trouble, now_ns)
+            except Exception as error:
+                operation.handle_trouble(fault_of("read_more()", error), now_ns)
         state = operation.machine.state
         if state is not self._known:
             self._known, self.state, self._placed = state, int(state), state in _PLACED

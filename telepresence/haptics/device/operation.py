@@ -338,11 +338,12 @@ class JoystickOperation:
         """Read the device, supervise the reading, and continue what is in progress."""
         self.reading = reading = self.device.read()
         if now_ns < self._check_ns:
-            x_m, y_m, vx_m_s, vy_m_s, _, dead_man, _, present = reading
+            x_m, y_m, vx_m_s, vy_m_s, _, dead_man, _, present, error = reading
             reach_x, reach_y, speed = self._plausible
             if (
                 dead_man
                 and present
+                and not error
                 and -reach_x <= x_m <= reach_x
                 and -reach_y <= y_m <= reach_y
                 and -speed <= vx_m_s <= speed

@@ -161,6 +161,7 @@ class PageDevice(Mechanics):
             self._pressed,
             joystick.temperature_c,
             self._now_ns < self._lost_ns,
+            "",
         )
         return tuple.__new__(JoystickReading, reading)
 

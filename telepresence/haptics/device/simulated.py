@@ -275,6 +275,7 @@ class SimulatedDevice(Mechanics):
             held,
             joystick.temperature_c,
             self._now_ns < self._lost_ns,
+            "",
         )
         # Skips `JoystickReading.__new__`, which is one more Python call a thousand times a second.
         return tuple.__new__(JoystickReading, reading)

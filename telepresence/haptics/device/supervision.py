@@ -129,11 +129,12 @@ class JoystickSupervisor:
 
     def handle_reading(self, reading: JoystickReading, now_ns: int) -> Health:
         """Judge `reading`."""
-        x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present = reading
+        x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present, error = reading
         # One comparison each for the usual case; a NaN fails it as well.
         reach_x, reach_y, speed = self._reach_x_m, self._reach_y_m, self._speed_m_s
         if not (
             present
+            and not error
             and -reach_x <= x_m <= reach_x
             and -reach_y <= y_m <= reach_y
             and -speed <= vx_m_s <= speed
@@ -187,6 +188,8 @@ class JoystickSupervisor:
     def _judge_sensors(self, reading: JoystickReading) -> Health:
         if not reading.present:
             return self._set_health(Health.FATAL, "the device is gone: plug it in and restart")
+        if reading.error:
+            return self._set_health(Health.FAULT, reading.error)
         for axis, half_m in enumerate(self._half_m):
             name, place_m, speed_m_s = "xy"[axis], reading.place(axis), reading.speed(axis)
             if not (isfinite(place_m) and isfinite(speed_m_s)):

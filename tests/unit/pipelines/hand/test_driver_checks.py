@@ -377,8 +377,8 @@ def simulated():
 @pytest.mark.parametrize(
     ("device", "checks"),
     [
-        *((SimulatedDevice, 12), (simulated, 33), (Lever, 12), (Arm, 26)),
-        *((Mass, 11), (Placed, 11), (Alone, 11), (Wrist, 27), (LedWrist, 27)),
+        *((SimulatedDevice, 13), (simulated, 34), (Lever, 13), (Arm, 27)),
+        *((Mass, 12), (Placed, 12), (Alone, 12), (Wrist, 28), (LedWrist, 28)),
     ],
 )
 def test_a_sound_device_passes(device, checks):

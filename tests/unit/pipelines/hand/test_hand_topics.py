@@ -5,18 +5,7 @@ import json
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipelines.hand.hand_topics import (
-    INPUT_OCTETS,
-    REQUEST_OCTETS,
-    ArmState,
-    HandRequest,
-    OwnerDesk,
-    pack_input,
-    pack_request,
-    unpack_input,
-    unpack_request,
-    unpack_status,
-)
+from pipelines.hand import hand_topics
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import REQUESTS
@@ -35,23 +24,26 @@ from telepresence.haptics.ownership import HapticOwnership, Owner
     st.sampled_from(sorted(REQUESTS, key=lambda one: one.value)),
 )
 def test_an_input_and_a_request_are_read_back(hand, event):
-    data = pack_input(hand)
-    assert len(data) <= INPUT_OCTETS
-    assert unpack_input(data) == hand
-    request = HandRequest(hand.received_ns, event)
-    assert len(pack_request(request)) <= REQUEST_OCTETS
-    assert unpack_request(pack_request(request)) == request
+    data = hand_topics.pack_input(hand)
+    assert len(data) <= hand_topics.INPUT_OCTETS
+    assert hand_topics.unpack_input(data) == hand
+    request = hand_topics.HandRequest(hand.received_ns, event)
+    assert len(hand_topics.pack_request(request)) <= hand_topics.REQUEST_OCTETS
+    assert hand_topics.unpack_request(hand_topics.pack_request(request)) == request
 
 
 @given(st.binary(max_size=96))
-@example(bytes(INPUT_OCTETS))
-@example(bytes(INPUT_OCTETS + 8))
+@example(bytes(hand_topics.INPUT_OCTETS))
+@example(bytes(hand_topics.INPUT_OCTETS + 8))
 def test_other_octets_are_nothing(data):
-    request, status = unpack_request(data), unpack_status(data)
+    request, status = hand_topics.unpack_request(data), hand_topics.unpack_status(data)
     assert request is None or request.event in REQUESTS
     assert status is None or len(data) > 20
-    assert (unpack_input(data) is None) == (
-        len(data) not in range(INPUT_OCTETS - 8 * len(AXIS_NAMES), INPUT_OCTETS + 1, 8)
+    assert (hand_topics.unpack_input(data) is None) == (
+        len(data)
+        not in range(
+            hand_topics.INPUT_OCTETS - 8 * len(AXIS_NAMES), hand_topics.INPUT_OCTETS + 1, 8
+        )
     )
 
 
@@ -64,7 +56,7 @@ def ask(desk, line):
 
 
 def test_an_order_stands_until_the_next_and_the_answer_says_who_drives():
-    desk = OwnerDesk()
+    desk = hand_topics.OwnerDesk()
     answer = json.loads(ask(desk, b'{"owner": "partner"}\n'))
     assert desk.order is Owner.PARTNER
     assert answer["ok"] and answer["wanted"] == "partner" and "owner" not in answer
@@ -72,14 +64,18 @@ def test_an_order_stands_until_the_next_and_the_answer_says_who_drives():
     ownership.handle_order(Owner.PARTNER, 0)
     for now_ns in (0, 10**9):
         ownership.handle_robot(0.0, now_ns)
-    desk.handle_state(ArmState.unpack(ArmState.of(ownership.report(), waiting=True).pack()))
+    desk.handle_state(
+        hand_topics.ArmState.unpack(
+            hand_topics.ArmState.of(ownership.report(), waiting=True).pack()
+        )
+    )
     answer = json.loads(ask(desk, b"{}\n"))
     assert answer["owner"] == "partner" and answer["waiting"]
     assert desk.order is Owner.PARTNER
 
 
 def test_an_unknown_owner_changes_nothing_and_garbage_gets_no_answer():
-    desk = OwnerDesk(Owner.PARTNER)
+    desk = hand_topics.OwnerDesk(Owner.PARTNER)
     for owner in ("bob", 7, None, ["iss"], {"owner": "iss"}):
         answer = json.loads(ask(desk, json.dumps({"owner": owner}).encode() + b"\n"))
         assert not answer["ok"] and answer["mistake"]

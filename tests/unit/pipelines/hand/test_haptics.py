@@ -6,50 +6,20 @@ from copy import deepcopy
 
 import pytest
 
-from kontur_av.clock import NS_PER_MS
 from kontur_av.clock import NS_PER_MS as MS
 from pipelines.hand.desks import RobotDesk
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
 from pipelines.session.mission_messages import RobotCommand
 from pipelines.session.probe import Probe
-from telepresence.haptics.bilateral import JoystickSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import ExperimentName, JoystickEvent, JoystickState
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.loop import joystick_link
 from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.sample import Feedback, pack_feedback
 
 GERMAN, RUSSIAN = JoystickEvent.START, JoystickEvent.START_RUSSIAN
-
-
-def received(ownership, source):
-    """How many of the samples that `source` sends in 50 ms reach the controller."""
-    robot = RobotEnd(Probe(), robot_side(SafetyEnvelope(), life=3, ownership=ownership))
-    joystick = JoystickSide(link=joystick_link(life=1))
-    take = robot.handle_datagram if source is Owner.ISS else robot.handle_partner
-    for now_ns in range(0, 50 * NS_PER_MS, NS_PER_MS):
-        joystick.handle_cycle(now_ns, NS_PER_MS)
-        sample = joystick.poll_transmit(now_ns)
-        if sample is not None:
-            take(sample, now_ns)
-        robot.handle_cycle(now_ns, NS_PER_MS)
-    found = robot.side.link.received_figures()
-    return found.received + found.greetings
-
-
-@pytest.mark.parametrize("source", Owner)
-@pytest.mark.parametrize("owner", [*Owner, None])
-def test_only_the_owners_datagrams_reach_the_arm(owner, source):
-    # While nobody drives, the port goes to the other one: this one drives at no time.
-    wanted = owner or next(other for other in Owner if other is not source)
-    ownership = HapticOwnership(owner, wanted=wanted)
-    assert (received(ownership, source) > 0) == (owner is source)
-    assert (ownership.report().refused[source.value] > 0) == (owner is not source)
-    # An arm without a partner follows the joystick in space alone.
-    assert (received(None, source) > 0) == (source is Owner.ISS)
 
 
 class Way:
