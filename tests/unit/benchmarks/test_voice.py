@@ -10,7 +10,7 @@ from pipelines.session.setup.setup_file import BUILT_IN
 SETUP = BUILT_IN["spacejustin"]
 
 
-def test_loss_share_and_burst_length_are_as_configured():
+def test_loss_is_as_configured_and_a_sound_is_laid_out_as_a_sound_card_plays_it():
     for loss in (0.02, 0.1):
         assert len(Network(loss=loss).lost(20_000, spared=50)) / 20_000 == pytest.approx(
             loss, rel=0.15
@@ -21,13 +21,6 @@ def test_loss_share_and_burst_length_are_as_configured():
         assert len(lost) / bursts == pytest.approx(BURST_PACKETS, rel=0.15)
         assert min(lost) >= 50
     assert Network(loss=0.0).lost(1000, spared=0) == frozenset()
-
-
-def test_the_sound_of_a_peer_is_laid_out_as_a_sound_card_plays_it():
-    """Packets follow each other despite jitter of timestamps, but a gap above 40 ms stays.
-
-    GstAudioBaseSink, `alignment-threshold`: 40 ms.
-    """
     first = 2**32 - 500  # the timestamps go round
     block = np.arange(1, 961, dtype=np.int16)
 

@@ -46,7 +46,6 @@ REFUSALS = {
         "--nonsense": "--help",
         "select": "CAMERA",
         "select static": "no session is running here",
-        "select static --session mine": "no session mine",
         "select static --session ../../etc": "session",
         "topology": "--setup",
     },
@@ -54,22 +53,18 @@ REFUSALS = {
         "": "--setup",
         "--setup spacejustine": "spacejustin or taskboard, or a file",
         "--setup missing.toml": "missing.toml: No such file",
-        "--setup .": "or a file NAME.toml",
         "TASKBOARD --sources left=x": "--help",
         "TASKBOARD --source head=scene:head": "left, right, static",
         "TASKBOARD --source left": "NAME=SPEC",
         "TASKBOARD --source left=missing.mp4": "missing.mp4",
         "TASKBOARD --source left=notes.txt": "notes.txt",
-        "TASKBOARD --source left=/proc/self": "/proc/self",
         "TASKBOARD --source left=scene:nosuch": "choose one of",
         "TASKBOARD --source left=pipe:missing": "mkfifo",
-        "TASKBOARD --source left=v4l2:/dev/missing": "/dev/missing",
         "TASKBOARD --source left=v4l2:/dev/null": "'/dev/null' cannot be opened",
         "TASKBOARD --source left=v4l2:/dev/video0 --source right=v4l2:/dev/../dev/video0": (
             "is that of input left"
         ),
         "TASKBOARD --source left=alsa:hw": "this input wants pictures",
-        "--setup mic.toml --source a_mic=alsa:hw": "this input wants pictures",
         "--setup spacejustin --source iss_mic=v4l2:/dev/video0": "wants sound",
         "TASKBOARD --source static=page --no-page": (
             "input static: source page needs the pages: leave --no-page out"
@@ -86,34 +81,25 @@ REFUSALS = {
         "TASKBOARD --joystick page --no-page": "--joystick page needs the pages",
         "TASKBOARD --second-robot arm:Left": "has no partner's arm",
         "TASKBOARD --seconds 0": "--seconds 0",
-        "TASKBOARD --seconds -3": "--seconds",
         "TASKBOARD --seconds nan": "--seconds nan",
-        "TASKBOARD --seconds soon": "--seconds",
         "TASKBOARD --seed x": "--seed",
         "TASKBOARD -v -q": "-q",
         "TASKBOARD --report missing/r.json": "--report missing/r.json",
-        "TASKBOARD --report .": "--report",
-        "TASKBOARD --report notes.txt/inside": "--report",
         "TASKBOARD --snapshots notes.txt/inside": "--snapshots",
         # A refused option leaves no directory behind.
         "TASKBOARD --snapshots shots --packets x": "--packets",
-        "TASKBOARD --snapshots shots --frames x": "--frames",
         "TASKBOARD --snapshots shots --ros2 x": "--ros2",
         "TASKBOARD --snapshots shots --files-rate x": "--files-rate",
         "TASKBOARD --base-port 80": "1024",
-        "TASKBOARD --base-port 65535": "1024",
         "TASKBOARD --radio nosuch": (
             "take cable, clean, iss-pass, iss-overhead, geo, or a file NAME.toml"
         ),
-        "TASKBOARD --radio missing.toml": "missing.toml: No such file",
         "TASKBOARD --radio-delay-ms -1": "take 0 to 10000",
-        "TASKBOARD --radio-delay-ms nan": "take 0 to 10000",
         "TASKBOARD --radio geo --radio-delay-ms 3": "give one of them",
         "TASKBOARD --radio-start 10": (
             "radio cable has no pass to begin in; take radio iss-pass or iss-overhead, or leave"
         ),
         "TASKBOARD --radio iss-pass --radio-start 600": "radio iss-pass lasts 593 s; take less",
-        "TASKBOARD --radio iss-pass --radio-start nan": "take less",
         "TASKBOARD --radio-delay-ms 9 --radio-start 1": "leave the start out",
         "TASKBOARD --listen 0.0.0.0:27000": "add --end ground or --end space",
         "LISTEN --joystick page": "the joystick is in space; give it at --end space",
@@ -124,7 +110,6 @@ REFUSALS = {
         "LISTEN --radio iss-pass --trainer": "give it at --end space with --trainer",
         "SPACE --radio iss-pass": "give it at --end space with --trainer, and none at",
         "TASKBOARD --page 0": "port from 1 to 65534",
-        "TASKBOARD --page 65535": "port from 1 to 65534",
         "TASKBOARD --page localhost": "[HOST:]PORT",
         "TASKBOARD --page 192.0.2.1:8270": "no address of this machine",
         "TASKBOARD --page no.such.invalid:8270": "no.such.invalid",
@@ -143,13 +128,11 @@ REFUSALS = {
         "TASKBOARD --leds panel:5000": "give --tasks or --plan, too",
         "TASKBOARD --tasks --leds panel": "write HOST:PORT",
         "TASKBOARD --tasks missing.xml": "missing.xml",
-        "TASKBOARD --plan missing.toml": "missing.toml",
         "TASKBOARD --runs runs": "--runs is for tasks",
         "TASKBOARD --tasks --runs runs --record all.mcap": "want the same recorder",
         "PLAN --tasks own.xml": "--plan names its files itself",
         "PLAN --leds 127.0.0.1:5000": "sees only the built-in LED panel",
         "LISTEN --no-page --plan plan.toml": "on one machine only",
-        "PLAN --plan two_hands.toml": "task handshake needs two hands",
     },
     "simulate": {
         "--setup spacejustin --seconds 1 --plan two_hands.toml": "handshake needs two hands",
@@ -159,10 +142,8 @@ REFUSALS = {
         "": "--setup",
         "TASKBOARD --seconds 0": "above 0",
         "TASKBOARD --report missing/r.json": "--report missing/r.json",
-        "TASKBOARD --base-port 80": "1024",
         "TASKBOARD --end moon": "--end",
         "TASKBOARD --peer 192.0.2.7:27001": "add --end ground or --end space",
-        "TASKBOARD --listen 0.0.0.0:1": "add --end ground or --end space",
         "TASKBOARD --insecure": "--insecure is for one end alone",
         "TASKBOARD --key k": "--key is for one end alone",
         "TASKBOARD --apps-bind 127.0.0.1": "--apps HOST",
@@ -171,14 +152,11 @@ REFUSALS = {
         "TASKBOARD --apps 0.0.0.0": "--apps 0.0.0.0: give the address of one",
         "GROUND": "needs --listen ADDR:PORT to wait for the other end, or --peer HOST:PORT",
         "GROUND --peer 127.0.0.1": "--peer '127.0.0.1': write HOST:PORT",
-        "GROUND --peer ::1:27001": "--peer '::1:27001': write HOST:PORT",
         "GROUND --peer [::1]:27001": "no IPv4 host",
         "GROUND --peer 0.0.0.0:27001": "--peer 0.0.0.0:27001: give the address of one",
-        "GROUND --peer 224.0.0.1:27001": "give the address of one machine",
         "GROUND --peer 255.255.255.255:27001": "cannot be reached",
         "GROUND --peer 127.0.0.1:1 --listen 127.0.0.1:2": "give one of them",
         "GROUND --listen 27000": "--listen '27000': write HOST:PORT",
-        "GROUND --listen 224.0.0.1:27000": "give the address of one machine",
         "GROUND --listen 0.0.0.0:27010": "this end uses the ports 27000 to 27039 itself",
         "GROUND --listen 192.0.2.77:9000 --insecure": "no address of this machine",
         "GROUND --listen 0.0.0.0:27000": "there is no key",
@@ -190,15 +168,12 @@ REFUSALS = {
     },
     "keys": {
         "new --key key.pem": "exists: a new key is a new identity",
-        "new --key key.pem/x": "cannot be written",
         "show --key none.pem": "`kontur-av keys new` makes one",
         "show --key .": "is no file",
         "show --key fifo": "is no file",
         "show --key group.pem": "chmod 600 group.pem",
-        "show --key world.pem": "chmod 600 world.pem",
         "show --key writable.pem": "chmod 600 writable.pem",
         "show --key damaged.pem": "no private key",
-        "trust OTHER --key world.pem": "chmod 600",
         "trust OTHER --key none.pem": "keys new",
         "trust OWN --key key.pem": "that of the other one",
         "trust MISTYPED --key key.pem": "mistyped",
@@ -211,13 +186,11 @@ REFUSALS = {
         "TONE --audio page": "only a session has the source page",
         "TONE --to 127.0.0.1": "HOST:PORT",
         "TONE --to 127.0.0.1:99999": "65534",
-        "TONE --to no.such.host.invalid:5004": "no.such.host",
         "TONE --cap-kbps -3": "above 0",
         "TONE --cap-kbps 6": "a cap of 6 kbit/s: ",
         "TONE --channel-kbps 60": "lower the cap",
         "TONE --seconds 0": "above 0",
         "TONE --sdp /nowhere/x.sdp": "--sdp",
-        "TONE --report /nowhere/x.json": "--report",
         "FILM --size 640": "WIDTHxHEIGHT",
         "FILM --size 641x480": "even",
     },
@@ -231,7 +204,6 @@ REFUSALS = {
         "test --device usb": "write sim, sim:FAULT, page, ros2, evdev",
         "test --device page": "stream --joystick page`; its mechanics",
         "test --device sim:tired": "the faults are stuck-x",
-        "test --report /nowhere/r.json": "cannot be written",
     },
     "info": {
         "-a.mcap": "./NAME",
@@ -242,21 +214,17 @@ REFUSALS = {
     },
     "recover": {
         "none.mcap": "cannot be read: No such file",
-        ".": "is no file",
-        "empty.mcap": "it is not an MCAP file",
         "alien.mcap": "it is not an MCAP file",
         "foreign.mcap": "written by other 1.0, not by kontur-av",
         "torn.mcap --out notes.txt": "exists: give another name, or --overwrite",
         "torn.mcap --out torn.mcap --overwrite": "is the torn recording itself",
         "torn.mcap --out none/b.mcap": "none/b.mcap cannot be written: No such file",
-        "torn.mcap --out .": "is a directory",
     },
     "replay": {
         "alien.mcap": "alien.mcap: it is not an MCAP file",
         "foreign.mcap": "was written by other 1.0",
         "newer.mcap": f"reads up to format {FORMAT}: install a newer one",
         "a.mcap --speed 9": "--speed 9: take 0.1 to 4",
-        "a.mcap --seconds 0": "--seconds 0: give a number above 0",
         "a.mcap --cap-kbps uplink_video=20": "uplink_video needs a cap of ",
         "a.mcap --speed 4 --cap-kbps uplink_voice=8": "STREAM=KBPS with one of uplink_video",
         "a.mcap --report /none/r.json": "--report /none/r.json",
@@ -265,15 +233,10 @@ REFUSALS = {
         "a.mcap": "give at least one of",
         "a.mcap --csv x --mat73": "give --mat OUT.mat, too",
         "a.mcap --mat /proc/out.mat": "cannot be written",
-        "a.mcap --mat .": "is a directory",
         "a.mcap --mat a.mcap --overwrite": "is the recording itself",
         "a.mcap --csv a.mcap": "is no directory",
-        "a.mcap --csv /proc/nowhere": "cannot be made",
         "a.mcap --mat out.mat --csv kept": "events.csv exists: give another name, or --overwrite",
-        "none.mcap --mat out.mat": "cannot be read",
         "alien.mcap --mat out.mat": "is not an MCAP file",
-        "foreign.mcap --mat out.mat": "written by other 1.0, not by kontur-av",
-        "newer.mcap --mat out.mat": "install a newer one",
     },
 }
 ROWS = [
@@ -387,13 +350,19 @@ def test_a_mistake_is_one_line_that_names_the_mend(folder, capsys, words, says):
     assert state_of(folder) == before
 
 
-@pytest.mark.parametrize("name", ["a\nb", "a\x1b[31m", "a\u2028b", "a\r"])
-def test_what_was_written_wrong_stands_in_one_line(name, capsys):
-    line = refused(capsys, "topology", "--setup", f"{name}.toml")
-    assert line.isprintable() and line.startswith("kontur-av: cannot read setup a\\")
+def test_what_was_written_wrong_stands_in_one_line_and_version_is_printed(capsys):
+    for name in ("a\nb", "a\x1b[31m", "a\u2028b", "a\r"):
+        line = refused(capsys, "topology", "--setup", f"{name}.toml")
+        assert line.isprintable() and line.startswith("kontur-av: cannot read setup a\\")
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith("kontur-av 0.")
 
 
-def test_another_machine_s_programs_need_an_address_of_this_one(capsys, monkeypatch):
+def test_another_machine_needs_an_address_of_this_one_and_another_system_is_refused(
+    capsys, monkeypatch
+):
     for near, says in (
         ("198.51.100.4", "add --apps-bind 198.51.100.4"),
         (None, "cannot be reached from here"),
@@ -401,15 +370,6 @@ def test_another_machine_s_programs_need_an_address_of_this_one(capsys, monkeypa
         monkeypatch.setattr(own_ends, "reaches", lambda peer, near=near: near)
         assert says in refused(capsys, "link", "--setup", "taskboard", "--apps", "192.0.2.7")
 
-
-@pytest.mark.parametrize("command", ["stream", "simulate", "devices", "bench"])
-def test_a_command_on_another_system_is_refused(command, monkeypatch, capsys):
     monkeypatch.setattr(platform, "system", lambda: "Darwin")
-    assert "Darwin is not supported: " in refused(capsys, command)
-
-
-def test_version_is_printed(capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["--version"])
-    assert end.value.code == 0
-    assert capsys.readouterr().out.startswith("kontur-av 0.")
+    for command in ("stream", "simulate", "devices", "bench"):
+        assert "Darwin is not supported: " in refused(capsys, command)

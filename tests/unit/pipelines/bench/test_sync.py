@@ -3,18 +3,14 @@
 import json
 import wave
 from fractions import Fraction
-from itertools import accumulate, cycle, islice
 
 import av
 import numpy as np
 import pytest
 
-from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.bench.sync import clicks, joined, lights, steps
+from pipelines.bench.sync import clicks, lights, steps
 from pipelines.cli import main
-from pipelines.report.sync_figures import skews_ns
-from pipelines.report.sync_matching import Matched
 
 FPS, SECONDS = 30, 7.5
 #: Instants of the touches (s), and the delays of light and sound after force.
@@ -157,15 +153,3 @@ def test_an_unreadable_file_is_named(tmp_path, read, name, content, words):
     path = tmp_path / "felt.csv"
     path.write_text("\ufefftime_s,force_n\n0,1e200\n\n0.1,3\n0.2,3\n0.3,8\n", encoding="utf-8")
     assert [step.instant_ns for step in steps(path)] == [300_000_000]
-
-
-@pytest.mark.parametrize(
-    "gaps_ms", [(400,), (500,), (749,), (760,), (4000,), (600, 1200, 900, 3000)]
-)
-@pytest.mark.parametrize("skew_ms", [20, -60, 190])
-def test_touches_close_to_each_other_keep_their_own_lights(gaps_ms, skew_ms):
-    instants = list(accumulate(islice(cycle(gaps_ms), 20)))
-    force = [Matched(at_ms * NS_PER_MS) for at_ms in instants]
-    light = [Matched((at_ms + skew_ms) * NS_PER_MS, 100.0) for at_ms in instants]
-    skews = skews_ns("video_haptic", joined({"force": force, "light": light}))
-    assert skews == [skew_ms * NS_PER_MS] * 20

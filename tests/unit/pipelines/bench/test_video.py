@@ -5,15 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipelines.bench.course import marks
 from pipelines.bench.course.ends import ThinChannel, muxed_payload_octets, rtp_payload_octets
-from pipelines.bench.course.marks import (
-    NUMBERS,
-    SQUARES,
-    draw_number,
-    levels,
-    read_all,
-    read_number,
-)
 from pipelines.bench.video.clips import film
 from pipelines.bench.video.figures import largest_bps, latest, mean_bps, percentiles, shown
 
@@ -23,23 +16,23 @@ WIDTH, HEIGHT = 640, 480
 
 def numbered(number: int) -> np.ndarray:
     picture = np.full((HEIGHT * 3 // 2, WIDTH), 90, np.uint8)
-    draw_number(picture, number)
+    marks.draw_number(picture, number)
     return picture
 
 
 def seen(number: int) -> np.ndarray:
-    return levels(numbered(number)[:HEIGHT])
+    return marks.levels(numbered(number)[:HEIGHT])
 
 
-@given(st.integers(0, NUMBERS - 2), st.integers(0, SQUARES - 1))
+@given(st.integers(0, marks.NUMBERS - 2), st.integers(0, marks.SQUARES - 1))
 def test_a_number_is_read_as_it_was_drawn_or_not_at_all(number, square):
     squares = seen(number)
-    assert read_number(squares) == number
+    assert marks.read_number(squares) == number
     assert (squares != seen(number + 1)).sum() == 2, "from one number to the next"
     for wrong in (128, 255 - squares[square]):
         spoilt = squares.copy()
         spoilt[square] = wrong
-        assert read_number(spoilt) is None
+        assert marks.read_number(spoilt) is None
 
 
 @pytest.mark.parametrize(
@@ -54,9 +47,9 @@ def test_a_number_is_read_as_it_was_drawn_or_not_at_all(number, square):
     ],
 )
 def test_numbers_of_pictures_follow_from_those_that_can_be_read(squares, captured, found):
-    grey = np.full(SQUARES, 128, np.uint8)
+    grey = np.full(marks.SQUARES, 128, np.uint8)
     drawn = [grey if number is None else seen(number) for number in squares]
-    read = read_all(drawn, [list(one) for one in captured])
+    read = marks.read_all(drawn, [list(one) for one in captured])
     assert read[:3] == found[:3] and len(read) == len(found)
 
 

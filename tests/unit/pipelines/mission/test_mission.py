@@ -22,14 +22,7 @@ from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import DARK, pack_acknowledgement, parse_picture
 from telepresence.tasks.plan import PlannedTask, SessionPlan
 from telepresence.tasks.task_files import built_in_tasks
-from telepresence.tmtc.k2aci import (
-    PanelMode,
-    PanelState,
-    StartTask,
-    TaskFinished,
-    TaskResult,
-    TaskSelected,
-)
+from telepresence.tmtc import k2aci
 
 TICK_NS = 100 * NS_PER_MS
 
@@ -97,7 +90,7 @@ class Ground:
 
     def panel(self, mode, run):
         task = "aiming" if run else ""
-        self.core.handle_message(PanelState(mode=mode, task=task, run=run), self.now_ns)
+        self.core.handle_message(k2aci.PanelState(mode=mode, task=task, run=run), self.now_ns)
         self.settle()
 
     @property
@@ -121,7 +114,7 @@ def offered():
 
 def running():
     ground = offered()
-    ground.core.handle_message(StartTask(task="aiming", run=1), ground.now_ns)
+    ground.core.handle_message(k2aci.StartTask(task="aiming", run=1), ground.now_ns)
     ground.go(1)
     assert ground.phase == "running"
     return ground
@@ -175,10 +168,10 @@ def test_a_trainer_lets_a_task_fail_and_says_why(begin):
 def test_a_restarted_panel_is_told_its_task_again_or_ends_the_run_as_a_fault_of_the_robot_does():
     ground = offered()
     ground.messages.clear()
-    ground.panel(PanelMode.WAIT_TASK, 0)
-    assert [type(one) for one in ground.messages] == [TaskSelected]
+    ground.panel(k2aci.PanelMode.WAIT_TASK, 0)
+    assert [type(one) for one in ground.messages] == [k2aci.TaskSelected]
     ground = running()
-    ground.panel(PanelMode.WAIT_TASK, 0)
+    ground.panel(k2aci.PanelMode.WAIT_TASK, 0)
     ground.go(2)
     assert ground.ended == ("aborted", "the panel was restarted")
     assert not ground.robot.powered and not ground.recording
@@ -195,7 +188,9 @@ def test_the_next_life_ends_the_run_or_without_a_memory_switches_the_robot_off()
     kept = msgspec.json.decode(msgspec.json.encode(before.core.memory), type=MissionMemory)
     ground = Ground(kept)
     assert not ground.robot.powered and ground.core.leds.picture == DARK
-    assert ground.messages == [TaskFinished(task="aiming", run=1, result=TaskResult.ABORTED)]
+    assert ground.messages == [
+        k2aci.TaskFinished(task="aiming", run=1, result=k2aci.TaskResult.ABORTED)
+    ]
     assert ground.ask("select", 0) == ""
     assert ground.core.shown.run == 2
     # A third life keeps the row.
@@ -335,18 +330,18 @@ class Mission(Ground):
             assert (shown.task, shown.elemop, shown.run) == ("", "", 0)
             assert not self.recording
         # What the panel says.
-        if view.mode is PanelMode.NO_CONTACT:
+        if view.mode is k2aci.PanelMode.NO_CONTACT:
             assert (view.task, view.goal, view.left_s) == ("", "", None) and not self.signal
         else:
             assert self.signal
         assert view.words != ""
-        assert (view.goal != "") <= (view.mode is PanelMode.RUNNING)
+        assert (view.goal != "") <= (view.mode is k2aci.PanelMode.RUNNING)
         assert view.held_s >= 0 and (view.left_s is None or view.left_s >= 0)
-        if view.mode is PanelMode.FINISHED:
+        if view.mode is k2aci.PanelMode.FINISHED:
             assert self.runs[view.run] == "finished" and view.words.startswith("Finished")
-        if view.mode is PanelMode.ERROR:
+        if view.mode is k2aci.PanelMode.ERROR:
             assert "Finished" not in view.words
-        if view.mode in (PanelMode.WAIT_TASK, PanelMode.NO_CONTACT):
+        if view.mode in (k2aci.PanelMode.WAIT_TASK, k2aci.PanelMode.NO_CONTACT):
             assert "Finished" not in view.words
 
 

@@ -2,18 +2,10 @@
 
 from kontur_av.clock import NS_PER_S
 from pipelines.recording.desk import HOLD_NS, Ask, RecorderDesk, Start, Stop
-from pipelines.session.terminal_lines import (
-    MAX_LINE_OCTETS,
-    RecordAnswer,
-    RecordingWish,
-    RecordRequest,
-    Reply,
-    pack_line,
-    parse_line,
-)
+from pipelines.session import terminal_lines
 
-WISH = RecordingWish(file="/tmp/a.mcap")
-HELD = RecordingWish(file="/tmp/a.mcap", held=True)
+WISH = terminal_lines.RecordingWish(file="/tmp/a.mcap")
+HELD = terminal_lines.RecordingWish(file="/tmp/a.mcap", held=True)
 
 
 class Talk:
@@ -29,7 +21,7 @@ class Talk:
     def say(self, terminal, request, now_ns=0):
         if terminal not in self.desk.asking:
             self.desk.handle_terminal(terminal)
-        octets = request if isinstance(request, bytes) else pack_line(request)
+        octets = request if isinstance(request, bytes) else terminal_lines.pack_line(request)
         self.desk.handle_octets(terminal, octets, now_ns)
         self.drain()
         return self.answers.get(terminal)
@@ -38,32 +30,36 @@ class Talk:
         while (event := self.desk.next_event()) is not None:
             self.did.append(type(event))
             match event:
-                case Reply():
+                case terminal_lines.Reply():
                     if event.octets:
-                        self.answers[event.terminal] = parse_line(event.octets, RecordAnswer)
+                        self.answers[event.terminal] = terminal_lines.parse_line(
+                            event.octets, terminal_lines.RecordAnswer
+                        )
                     if event.last:
                         self.closed.add(event.terminal)
                 case Start():
                     self.desk.handle_started(event, self.error)
                 case Stop():
-                    self.desk.handle_stopped(event, RecordAnswer(ok=True, messages=7))
+                    self.desk.handle_stopped(
+                        event, terminal_lines.RecordAnswer(ok=True, messages=7)
+                    )
                 case Ask():
-                    self.desk.handle_state(event, RecordAnswer(ok=True, messages=3))
+                    self.desk.handle_state(event, terminal_lines.RecordAnswer(ok=True, messages=3))
 
 
 def start(wish, **options):
-    return RecordRequest(record="start", wish=wish, **options)
+    return terminal_lines.RecordRequest(record="start", wish=wish, **options)
 
 
 def test_a_recording_is_started_asked_about_and_stopped_and_other_requests_are_refused():
     talk = Talk()
     assert talk.say(1, start(WISH)).ok
     assert talk.desk.wish == WISH
-    assert talk.say(2, RecordRequest(record="state")).messages == 3
-    assert talk.say(2, RecordRequest(record="stop")).messages == 7
+    assert talk.say(2, terminal_lines.RecordRequest(record="state")).messages == 3
+    assert talk.say(2, terminal_lines.RecordRequest(record="stop")).messages == 7
     assert talk.desk.wish is None
-    assert talk.say(2, RecordRequest(record="stop")).mistake
-    answer = Talk(WISH).say(1, start(RecordingWish(file="/tmp/b.mcap")))
+    assert talk.say(2, terminal_lines.RecordRequest(record="stop")).mistake
+    answer = Talk(WISH).say(1, start(terminal_lines.RecordingWish(file="/tmp/b.mcap")))
     assert not answer.ok and answer.mistake and "/tmp/a.mcap" in answer.error
     talk = Talk()
     talk.error = "no such directory"
@@ -72,7 +68,7 @@ def test_a_recording_is_started_asked_about_and_stopped_and_other_requests_are_r
     talk = Talk()
     for garbage in (b"{}\n", b"[[[[\n", b'{"record": "jump"}\n', b'{"record": "start"}\n'):
         assert talk.say(1, garbage).mistake
-    talk.say(1, b"x" * (MAX_LINE_OCTETS + 1))
+    talk.say(1, b"x" * (terminal_lines.MAX_LINE_OCTETS + 1))
     assert 1 in talk.closed
     assert talk.desk.wish is None
 

@@ -1,10 +1,7 @@
 """What `kontur-av info` finds in a file: rates, gaps, missing messages, losses, damage."""
 
-from io import BytesIO
-
 import pytest
 from mcap.records import Message
-from mcap.writer import Writer
 from recordings import FACTS_OF_A_TEST, WALL_NS, Step, write
 
 from pipelines.recording.channels import channels_of
@@ -92,14 +89,3 @@ def test_losses_of_the_recorder_are_the_newest_ones():
     stream.handle_end()
     octets = b"".join(iter(lambda: stream.poll_transmit(0), None))
     assert state(octets) == "/a: the recorder missed 2 and dropped 5"
-
-
-def test_a_file_of_another_program_is_shown_and_said_to_be_one():
-    stream = BytesIO()
-    writer = Writer(stream)
-    writer.start(library="other 1.0")
-    writer.add_message(writer.register_channel("/a", "json", 0), 1, b"{}", 1)
-    writer.finish()
-    lines = inventory_lines(take_inventory(memoryview(stream.getvalue())), "a.mcap", 100)
-    assert lines[1] == "written by other 1.0: not a recording of kontur-av"
-    assert lines[-1].split()[:2] == ["/a", "1"]

@@ -52,17 +52,6 @@ def test_all_that_was_sent_comes_back_and_a_beginning_has_what_was_sent_until_th
     assert "telecommand" in session.packets and "telecommand" not in begin.packets
 
 
-def test_several_parts_have_what_one_has(written, tmp_path):
-    recording = write_recording(tmp_path / "a.mcap", parts=3)
-    several = session_of(*(memoryview(path.read_bytes()) for path in recording.paths))
-    whole = session_of(memoryview(written.paths[0].read_bytes()))
-    assert (several.facts, several.parts, several.missing) == (whole.facts, 3, whole.missing)
-    for name, units in several.pictures.items():
-        assert [data for _, data, *_ in units] == [unit.data for unit in recording.units[name]]
-    assert (several.voices, several.packets) == (whole.voices, whole.packets)
-    assert all((several.haptics[key] == rows).all() for key, rows in whole.haptics.items())
-
-
 def part_of(told):
     return memoryview(octets_of_part(ROWS, FACTS_OF_SYNTHETIC, told, True))
 

@@ -16,7 +16,7 @@ from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import MOST_ACTING, MOST_VIEWERS, PageRequest, Seat
-from pipelines.seats.texts import ExerciseRequest, FetchRequest, RecordingRequest
+from pipelines.seats.texts import ExerciseRequest, RecordingRequest
 from pipelines.session.access import Role
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -348,23 +348,6 @@ def test_only_the_trainer_gives_exercises_at_either_end(segment):
         # Nor may a trainer do what other people do.
         page.ask("stop", action="stop")
         assert (room.events() == []) is (role in (Role.TRAINER, Role.VIEWER))
-
-
-def test_a_role_does_what_is_its_own_and_is_told_who_may_the_rest(ground):
-    page = ground.open(Role.SYSTEMS)
-    page.ask("session", action="stop")
-    page.ask("command", application="tasks", name="abort")
-    assert page.errors() == [
-        "session: the cosmonaut or the supervisor may, not the systems operator",
-        "tasks abort: the experimenter or the supervisor may, not the systems operator",
-    ]
-    page.ask("record", action="start")
-    page.ask("fetch", inbox="joystick")
-    page.ask("command", application="joystick", verb="ping")
-    recording, fetched, asked = ground.events()
-    assert recording == PageRequest(page.number, RecordingRequest(7, "start"))
-    assert fetched == PageRequest(page.number, FetchRequest(7, "joystick"))
-    assert (asked.application, asked.verb) == ("joystick", "ping")
 
 
 def test_all_pages_of_a_seat_see_one_chat_and_a_plain_one_sees_nothing_else(space):

@@ -5,13 +5,7 @@ import re
 import pytest
 
 from kontur_av.errors import ProtocolError
-from pipelines.seats.texts import (
-    InputRequest,
-    JoystickRequest,
-    SessionRequest,
-    parse_media_request,
-    parse_seat_request,
-)
+from pipelines.seats import texts
 from pipelines.session.web_site import STATIC
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.experiment import Phase, RunStep
@@ -19,12 +13,12 @@ from telepresence.tmtc.k2aci import PanelMode, TaskResult
 
 
 def test_requests_of_a_seat():
-    stop = parse_seat_request('{"request": 3, "do": "session", "action": "stop"}')
-    assert stop == SessionRequest(request=3, action="stop")
-    halt = parse_seat_request('{"request": 4, "do": "joystick", "event": "halt"}')
-    assert halt == JoystickRequest(request=4, event="halt")
-    on = parse_media_request('{"request": 5, "do": "input", "name": "iss_mic", "on": true}')
-    assert on == InputRequest(request=5, name="iss_mic", on=True)
+    stop = texts.parse_seat_request('{"request": 3, "do": "session", "action": "stop"}')
+    assert stop == texts.SessionRequest(request=3, action="stop")
+    halt = texts.parse_seat_request('{"request": 4, "do": "joystick", "event": "halt"}')
+    assert halt == texts.JoystickRequest(request=4, event="halt")
+    on = texts.parse_media_request('{"request": 5, "do": "input", "name": "iss_mic", "on": true}')
+    assert on == texts.InputRequest(request=5, name="iss_mic", on=True)
 
 
 TAKEN = '{"request": 1, "do": '
@@ -46,7 +40,7 @@ TAKEN = '{"request": 1, "do": '
 def test_anything_else_is_refused(text):
     # tests/fuzz/test_page_fuzz.py has the rest.
     with pytest.raises(ProtocolError):
-        parse_seat_request(text)
+        texts.parse_seat_request(text)
 
 
 def test_the_pages_have_words_for_each_state_and_the_steps_in_their_order():

@@ -5,15 +5,8 @@ import os
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.desk import FileDesk
 from pipelines.seats.upkeep_watch import Transfers, software_in
+from pipelines.session import terminal_lines
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminal_lines import (
-    MAX_LINE_OCTETS,
-    STATUS,
-    FileAnswer,
-    FileRequest,
-    pack_line,
-    parse_line,
-)
 from telepresence.files.entity import FileEntity, Transfer
 from telepresence.upkeep.inbox import TOLD, UpdateInbox
 
@@ -25,10 +18,14 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
     desk, transfers = FileDesk(entity), Transfers()
 
     def answered(now_ns):
-        return desk.handle_request(FileRequest(file=STATUS), b"", "", now_ns)
+        return desk.handle_request(
+            terminal_lines.FileRequest(file=terminal_lines.STATUS), b"", "", now_ns
+        )
 
     def status(now_ns):
-        said = parse_line(pack_line(answered(now_ns)), FileAnswer)
+        said = terminal_lines.parse_line(
+            terminal_lines.pack_line(answered(now_ns)), terminal_lines.FileAnswer
+        )
         return transfers.handle_list(GROUND, said.transfers, now_ns)
 
     assert status(0) == []
@@ -57,7 +54,7 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
         entity.transfers[number] = transfer
     answer = answered(2 * NS_PER_S)
     assert len(answer.transfers) + answer.more == 40
-    assert len(pack_line(answer)) < MAX_LINE_OCTETS
+    assert len(terminal_lines.pack_line(answer)) < terminal_lines.MAX_LINE_OCTETS
 
 
 def test_what_keepers_told_is_shown_with_where_it_is_from(tmp_path):

@@ -8,15 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.codecs.coding import Coding
-from kontur_av.codecs.h26x import H264Decoder
-from kontur_av.media import BLOCK_NS, CaptureStamp, VideoFrame, empty_picture, planes
-from kontur_av.sources.stereo import StereoPair, merge
+from kontur_av.media import BLOCK_NS
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.virtual.studio import Paired, Shot, VideoStudio, VoiceStudio
-from telepresence.world import WorldState, render
+from pipelines.virtual.studio import Shot, VideoStudio, VoiceStudio
+from telepresence.world import WorldState
 
 SIZE = 64, 48
-SIDES = ("left", "right")
 STREAM = VideoStream(name="uplink_video", cap_bps=100_000, width=SIZE[0], height=SIZE[1])
 
 
@@ -38,35 +35,6 @@ def test_a_picture_of_a_fast_file_may_wait_for_its_encoder(tmp_path, step_ms, wa
     for sequence in (0, waits):
         data, _ = studio((Shot("head", sequence, None), Coding(), None))
         assert data
-
-
-@pytest.mark.parametrize("old", [None, "left", "right"])
-def test_of_a_stale_camera_its_whole_half_is_shown_and_marked(old):
-    size, stamp = (256, 192), CaptureStamp(0, 0, "stereo")
-    stream = VideoStream(name="uplink_video", cap_bps=400_000, width=size[0], height=size[1])
-    studio, decoder = (
-        VideoStudio(stream, {side: f"scene:{side}" for side in SIDES}, 0),
-        H264Decoder(),
-    )
-    # The stylus crosses the middle, so the seam of two fresh pictures is elsewhere.
-    state = WorldState(time_ns=0, x_m=0.0, y_m=-0.02)
-    frames = {side: VideoFrame(Shot(side, 0, state), stamp) for side in SIDES}
-    stale = {f"{side}_stale": side == old for side in SIDES}
-    paired = Paired(StereoPair(**frames, stamp=stamp, **stale), 1_300_000_000)
-    shown, halves, *drawn = (empty_picture(*size) for _ in range(4))
-    for number in range(25):
-        data, _ = studio((paired, Coding(), None))
-        for picture in decoder.decode(data, number):
-            picture.scale_into(shown)
-    for side, room in zip(SIDES, drawn, strict=True):
-        render(side, state, room, 0)
-    merge(*drawn, halves)
-    # The mark is at the edges.
-    inner = slice(size[1] // 4, size[1] * 3 // 4), slice(size[0] // 8, size[0] * 7 // 8)
-    away = abs(planes(shown)[0][inner].astype(int) - planes(halves)[0][inner])
-    assert bool(away.mean() < 4) is (old is not None), away.mean()
-    red = {"left": planes(shown)[2][-1, 0], "right": planes(shown)[2][-1, -1]}
-    assert {side for side in SIDES if red[side] > 200} == {old} - {None}
 
 
 def test_a_picture_that_was_drawn_ahead_is_coded_as_one_that_was_not():

@@ -12,7 +12,7 @@ from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import empty_picture
 from pipelines.bench.course import marks
 from pipelines.cli import main
-from pipelines.recording.export.tables import Run, TaskRuns, place_pictures, row_instants
+from pipelines.recording.export.tables import Run, TaskRuns
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.messages import SPACE_PACKET
 from telepresence.tmtc.k2aci import Numbered, StartTask, TaskFinished, TaskResult, pack_body
@@ -135,18 +135,6 @@ def test_episodes_are_the_runs_of_tasks_with_the_statistics_of_their_rows(writte
     mean = np.mean([frame.to_ndarray(format="rgb24") / 255 for frame in frames], axis=(0, 1, 2))
     found = np.array(stats[f"observation.images.{CAMERA}"]["mean"])
     np.testing.assert_allclose(found[:, 0, 0], mean, atol=0.02)
-
-
-def test_a_picture_stands_in_the_nearest_row_and_the_newest_of_several():
-    instants = row_instants(1_000, 1_000 + S, 10)
-    captures = np.array([-3 * S, 1_000, 140 * MS, 149 * MS, 420 * MS, 980 * MS], np.int64)
-    placed = place_pictures(captures, instants, 10)
-    assert len(instants) == 11
-    assert placed.pictures.tolist() == [1, 3, 3, 3, 4, 4, 4, 4, 4, 4, 5]
-    assert placed.own.tolist() == [n in (0, 1, 4, 10) for n in range(11)]
-    assert placed.left_out == 1
-    # Before its first picture, a camera shows the newest one from before the episode.
-    assert place_pictures(captures[:1], instants, 10).pictures.tolist() == [0] * 11
 
 
 def test_a_run_is_found_in_the_packets_of_the_robot_first():

@@ -11,12 +11,7 @@ from pipelines.media.stream_figures import REPORT_INTERVAL_NS
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.setup.table import PORTS, Setup, VideoStream
-from telepresence.link.arithmetic import (
-    RESERVE_BPS,
-    RESERVE_DOWN_BPS,
-    RESUME_OCTETS,
-    TAG_OCTETS,
-)
+from telepresence.link import arithmetic
 from telepresence.link.radio import load_radio
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import MAX_PACKET_OCTETS
@@ -71,23 +66,25 @@ def pus_octets_per_s(end):
             if application.end == end and structure.on:
                 values = sum(one.octets for one in application.named(structure.parameters))
                 packet = MAX_PACKET_OCTETS - MAX_REPORT_OCTETS + 1 + values
-                total += (TAG_OCTETS + RESUME_OCTETS + packet) / structure.interval_s
+                total += (
+                    arithmetic.TAG_OCTETS + arithmetic.RESUME_OCTETS + packet
+                ) / structure.interval_s
     return total
 
 
 def test_reports_and_telemetry_of_a_session_fit_the_reserve():
     rtp = make_sender(cname=Segment.GROUND.cname)
     rtp.audio_packets(b"\x08", CaptureStamp(0, 0, "test"))
-    reports = 2 * (TAG_OCTETS + len(rtp.poll_report(0))) * 1e9 / REPORT_INTERVAL_NS
+    reports = 2 * (arithmetic.TAG_OCTETS + len(rtp.poll_report(0))) * 1e9 / REPORT_INTERVAL_NS
     # About a telecommand every ten seconds: accepted, started, completed.
     verification = MAX_PACKET_OCTETS - MAX_REPORT_OCTETS + 4
-    up = reports + 3 * (TAG_OCTETS + RESUME_OCTETS + verification) / 10
-    assert 0 <= RESERVE_BPS / 8 - up - pus_octets_per_s("ground") <= 5
+    up = reports + 3 * (arithmetic.TAG_OCTETS + arithmetic.RESUME_OCTETS + verification) / 10
+    assert 0 <= arithmetic.RESERVE_BPS / 8 - up - pus_octets_per_s("ground") <= 5
     # The telecommand.
     (select,) = built_in_dictionary().application("camera").parameters
     command = MAX_PACKET_OCTETS - MAX_COMMAND_OCTETS + 1 + select.octets
-    down = reports + (TAG_OCTETS + RESUME_OCTETS + command) / 10
-    assert 0 <= RESERVE_DOWN_BPS / 8 - down - pus_octets_per_s("space") <= 5
+    down = reports + (arithmetic.TAG_OCTETS + arithmetic.RESUME_OCTETS + command) / 10
+    assert 0 <= arithmetic.RESERVE_DOWN_BPS / 8 - down - pus_octets_per_s("space") <= 5
 
 
 def own_setup(**changes):

@@ -1,26 +1,17 @@
 """A sweep's table: medians over seeds, verdicts, and runs that are missing."""
 
 from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.virtual.campaign import sweep
 from pipelines.virtual.campaign.figures import RunFigures
-from pipelines.virtual.campaign.sweep import (
-    Case,
-    SeedSpread,
-    Sweep,
-    case_figures,
-    csv_rows,
-    headings,
-    rows,
-    task_key,
-)
 
-SWEEP = Sweep(
+SWEEP = sweep.Sweep(
     name="mine",
     seconds=5.0,
     seeds=(1, 2, 3),
     media=False,
     cases=(
-        Case({"radio": "cable"}, BUILT_IN["taskboard"]),
-        Case({"radio_delay_ms": 5}, BUILT_IN["spacejustin"]),
+        sweep.Case({"radio": "cable"}, BUILT_IN["taskboard"]),
+        sweep.Case({"radio_delay_ms": 5}, BUILT_IN["spacejustin"]),
     ),
     fields=("radio", "radio_delay_ms"),
     keys=("a.b",),
@@ -36,24 +27,24 @@ def run_of(seed, **figures):
 def test_a_case_has_median_least_and_largest_of_its_seeds():
     stuck = RunFigures(key="", seed=3, faults=("stuck",), figures={"force_p99_ms": 9.0})
     runs = [run_of(1, force_p99_ms=2.0), run_of(2, force_p99_ms=3.0), stuck, None, None, None]
-    first, second = case_figures(SWEEP, runs)
-    assert first.figures["force_p99_ms"] == SeedSpread(median=3.0, least=2.0, largest=9.0)
+    first, second = sweep.case_figures(SWEEP, runs)
+    assert first.figures["force_p99_ms"] == sweep.SeedSpread(median=3.0, least=2.0, largest=9.0)
     assert (first.runs, first.usable, first.faults) == (3, 2, {"stuck": 1})
     assert second.figures["force_p99_ms"] is None
-    assert headings(SWEEP, [first, second]) == [*SWEEP.fields, "force p99 ms", "verdict"]
-    assert list(rows(SWEEP, [first, second])) == [
+    assert sweep.headings(SWEEP, [first, second]) == [*SWEEP.fields, "force p99 ms", "verdict"]
+    assert list(sweep.rows(SWEEP, [first, second])) == [
         ["cable", "", "3 (2 to 9)", "2 of 3 usable, 1 stuck"],
         ["", "5", "", "not run"],
     ]
-    heading, *of_runs = csv_rows(SWEEP, runs)
+    heading, *of_runs = sweep.csv_rows(SWEEP, runs)
     assert [row[:3] for row in of_runs] == [["cable", "", seed] for seed in (1, 2, 3)]
     assert of_runs[2][heading.index("force_p99_ms")] == 9.0
 
 
 def test_a_run_is_known_by_all_that_decides_its_figures():
     tasks = SWEEP.tasks()
-    keys = {task_key(task, (), "code") for task in tasks}
+    keys = {sweep.task_key(task, (), "code") for task in tasks}
     assert len(keys) == 6
-    assert task_key(tasks[0], (), "code") in keys
-    assert task_key(tasks[0], (), "other") not in keys
-    assert task_key(tasks[0], ("a.b",), "code") not in keys
+    assert sweep.task_key(tasks[0], (), "code") in keys
+    assert sweep.task_key(tasks[0], (), "other") not in keys
+    assert sweep.task_key(tasks[0], ("a.b",), "code") not in keys
