@@ -1,6 +1,7 @@
 """Real footage and real speech, read as files; a test that lacks them is skipped with a line."""
 
 import os
+import signal
 from collections.abc import Callable
 from functools import lru_cache
 from importlib import metadata
@@ -20,6 +21,10 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 # What needs the machine runs last.
 pytest_plugins = ("tiers",)
+
+# A shell that runs the tests in the background has their children ignore Ctrl-C, which some press.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SPEECH = Path("/usr/share/sounds/alsa")
 
