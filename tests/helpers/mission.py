@@ -49,15 +49,9 @@ class Mission:
         self.camera, self.recording = "", False
         self.records = []
         self.delay_ns = delay_ms * MS
-        self._ways = {"up": deque(), "down": deque()}
-        self._ends = {
-            ("up", "sample"): self.joystick.handle_datagram,
-            ("down", "sample"): self.robot.handle_datagram,
-            ("up", "body"): self.space.handle_message,
-            ("down", "body"): self.ground.handle_message,
-        }
+        self._ways = deque(), deque()
         self._pressed = 0
-        self.log, self.runs, self.events = [], [], []
+        self.log, self.runs = [], []
         self.keeper = ScoreKeeper()
         #: How far the tip was led without the dead-man button while the hand leads it (m).
         self.led_m = 0.0
@@ -71,10 +65,10 @@ class Mission:
         if self.control.telepresent and not self.joystick.handle.dead_man:
             self.led_m += hypot(robot.x_m - x_m, robot.y_m - y_m)
         self.joystick.handle_cycle(now_ns, MS)
-        for way, side in (("up", self.robot), ("down", self.joystick)):
-            sample = side.poll_transmit(now_ns)
-            if sample is not None:
-                self._send(way, "sample", sample, now_ns)
+        up, down = self._ways
+        for way, side, peer in ((up, self.robot, self.joystick), (down, self.joystick, self.robot)):
+            if (sample := side.poll_transmit(now_ns)) is not None:
+                self._send(way, peer.handle_datagram, sample, now_ns)
         if now_ns % LOOK_NS == 0:
             self._above(now_ns)
         if now_ns % TICK_NS == 0:
@@ -97,17 +91,17 @@ class Mission:
         self.run(3)
         return self.runs[-1]
 
-    def _send(self, way, what, octets, now_ns):
+    def _send(self, way, take, octets, now_ns):
         if self.signal:
-            self._ways[way].append((now_ns + self.delay_ns, what, octets))
+            way.append((now_ns + self.delay_ns, take, octets))
 
     def _carry(self, now_ns):
-        for way, waiting in self._ways.items():
+        for waiting in self._ways:
             if not self.signal:
                 waiting.clear()
             while waiting and waiting[0][0] <= now_ns:
-                _, what, octets = waiting.popleft()
-                self._ends[way, what](octets, now_ns)
+                _, take, octets = waiting.popleft()
+                take(octets, now_ns)
 
     def _above(self, now_ns):
         handle = self.joystick.handle
@@ -176,23 +170,20 @@ class Mission:
                 self.records.append((now_ns, order.on))
 
     def _messages(self, now_ns):
-        while (event := self.space.next_event()) is not None:
-            if isinstance(event, Arrived):
-                self.panel.handle_message(event.message, now_ns)
-        while (event := self.ground.next_event()) is not None:
-            if isinstance(event, Arrived):
-                self.experiment.handle_message(event.message, now_ns)
+        for end, taker in ((self.space, self.panel), (self.ground, self.experiment)):
+            for event in iter(end.next_event, None):
+                if isinstance(event, Arrived):
+                    taker.handle_message(event.message, now_ns)
         self._carry_out(now_ns)
-        while (message := self.panel.poll_message()) is not None:
-            self.space.send(message, now_ns)
-        while (message := self.experiment.poll_message()) is not None:
-            self.ground.send(message, now_ns)
-        for way, end in (("down", self.space), ("up", self.ground)):
+        up, down = self._ways
+        for source, end, way, peer in (
+            (self.panel, self.space, down, self.ground),
+            (self.experiment, self.ground, up, self.space),
+        ):
+            for message in iter(source.poll_message, None):
+                end.send(message, now_ns)
             while (body := end.poll_transmit(now_ns)) is not None:
-                self._send(way, "body", body, now_ns)
-        while (event := self.experiment.next_event()) is not None:
-            self.events.append(event)
-            if isinstance(event, Logged):
-                self.log.append(event)
-            elif isinstance(event, TaskRun):
-                self.runs.append(event)
+                self._send(way, peer.handle_message, body, now_ns)
+        for event in iter(self.experiment.next_event, None):
+            if isinstance(event, Logged | TaskRun):
+                (self.log if isinstance(event, Logged) else self.runs).append(event)

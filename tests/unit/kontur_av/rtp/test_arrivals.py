@@ -2,7 +2,7 @@
 
 import pytest
 
-from kontur_av.rtp.arrivals import ReorderDepth
+from kontur_av.rtp.arrivals import ReorderDepth, Transits
 
 MS = 1_000_000
 S = 1000 * MS
@@ -42,3 +42,10 @@ def test_one_wait_alone_is_kept():
     depth.begin(0)
     depth.handle_late(100 * MS, 0)
     assert depth.depth_ns(0) == depth.depth_ns(5 * S) == 10 * MS
+
+
+def test_a_transit_counts_for_exactly_the_window():
+    transits = Transits(window_ns=10, late_allowed=0)
+    for now_ns, transit_ns, bound_ns in ((0, 9, 9), (10, 2, 9), (11, 3, 3)):
+        transits.handle_arrival(now_ns, transit_ns)
+        assert transits.bound_ns == bound_ns

@@ -353,6 +353,11 @@ def test_timestamps_that_waver_about_whole_blocks_tear_no_sound(off, walks, lost
     # Each is dated by its own timestamp.
     for number, block in zip(heard(played), played, strict=True):
         assert block.timestamp == stamps[number] & 0xFFFF_FFFF
+    # A concealed one is dated on from the block before it.
+    for block, following in itertools.pairwise(line.blocks):
+        if block.payload is not None and following.payload is None and not following.inserted:
+            step = (following.timestamp - block.timestamp) % 2**32
+            assert abs((step + 2**31) % 2**32 - 2**31 - 960) < 400
     gaps(line.blocks)
 
 
@@ -404,9 +409,10 @@ def test_the_delay_is_that_of_the_jitter_and_5_ms(late_allowed, most_ms, wait_ms
 
 def test_lost_blocks_are_concealed_in_their_length_and_dated_on():
     line = Line(direct=True, samples=2880)
-    blocks = line.run([None if n in (4, 5, 9) else 60 * n * MS for n in range(12)])
+    arrivals, at = [None if n in (4, 5, 9) else 60 * n * MS for n in range(12)], range(12, 24)
+    blocks = line.run(arrivals, at)
     assert [block.timestamp for block in blocks[:12]] == [
-        (FIRST_TIMESTAMP + 2880 * n) % 2**32 for n in range(12)
+        (FIRST_TIMESTAMP + 2880 * place) % 2**32 for place in at
     ]
     assert [block.samples for block in blocks] == [2880] * 17
     assert [n for n, block in enumerate(blocks[:12]) if block.payload is None] == [4, 5, 9]
