@@ -107,8 +107,3 @@ def test_without_a_session_it_says_so_in_one_line(tmp_path):
     assert done.stderr.splitlines()[-1].startswith(
         "kontur_av.errors.ConfigError: no session is run"
     )
-
-
-def test_what_the_sample_does_takes_at_most_fifteen_lines():
-    text = SAMPLE.read_text(encoding="utf-8")
-    assert len([line for line in text.split('"""')[2].splitlines() if line.strip()]) <= 15

@@ -153,6 +153,16 @@ def test_foreign_telecommands_leave_room_for_the_own_user():
     told = [news.stage for news in iter(ground.next_event, None)]
     assert (told.count("taken"), told.count("refused")) == (4, 2)
 
+    # Nobody knows what a datagram's sender has heard.
+    given, both = bridge("all"), Ends()
+    octets = function("joystick", "halt", count=0)
+    for now_ns in (S, 3 * S):
+        both.ground.handle_request(passed(given, octets), now_ns)
+        seen, asked = both.talk(now_ns)
+        for packet in seen:
+            given.handle_telemetry(packet)
+        assert len(asked) == (now_ns == S)
+
 
 @pytest.mark.parametrize(("application", "name"), [("joystick", "halt"), ("robot", "power_off")])
 def test_a_system_that_began_anew_is_heeded_and_a_repetition_is_not(application, name):
@@ -213,14 +223,3 @@ def test_only_the_report_of_its_end_makes_room_for_an_equal_telecommand(stage, s
     given.handle_heard(first)
     given.handle_command(octets, S, second)
     assert given.poll_request().edition == edition
-
-
-def test_nobody_knows_what_a_datagram_s_sender_has_heard():
-    given, both = bridge("all"), Ends()
-    octets = function("joystick", "halt", count=0)
-    for now_ns in (S, 3 * S):
-        both.ground.handle_request(passed(given, octets), now_ns)
-        seen, asked = both.talk(now_ns)
-        for packet in seen:
-            given.handle_telemetry(packet)
-        assert len(asked) == (now_ns == S)

@@ -157,23 +157,16 @@ def test_candidates_travel_in_fragments_and_in_the_first_section_whether_it_is_w
         assert [(one.ip, one.port) for one in offer.transport.candidates] == [("192.0.2.1", 19305)]
 
 
-@pytest.mark.parametrize(
-    ("address", "port"),
-    [
-        *(("192.0.2.1", port) for port in (70_000, -1, 0, "9" * 400)),
-        *((address, 5000) for address in ("224.0.0.1", "255.255.255.255", "0.0.0.0", "::")),
-        ("nobody", 5000),
-    ],
-)
-def test_a_candidate_that_no_datagram_may_go_to_is_left_out(address, port):
-    text = "\r\n".join([BROWSER.rstrip("\r\n"), candidate(address, port), ""])
-    assert description.clean_candidates(text) == BROWSER
-    assert read(text).transport.candidates == ()
-    fragment = f"a=ice-ufrag:a\r\na=ice-pwd:b\r\n{candidate(address, port)}\r\n"
-    assert description.read_candidates(fragment).candidates == ()
-
-
-def test_loopback_is_for_a_partner_on_this_machine():
+def test_a_candidate_that_no_datagram_may_go_to_is_left_out_and_loopback_is_for_this_machine():
+    ports = [("192.0.2.1", port) for port in (70_000, -1, 0, "9" * 400)]
+    hosts = ("224.0.0.1", "255.255.255.255", "0.0.0.0", "::", "nobody")
+    for address, port in (*ports, *((host, 5000) for host in hosts)):
+        line = candidate(address, port)
+        text = "\r\n".join([BROWSER.rstrip("\r\n"), line, ""])
+        assert description.clean_candidates(text) == BROWSER
+        assert read(text).transport.candidates == ()
+        fragment = f"a=ice-ufrag:a\r\na=ice-pwd:b\r\n{line}\r\n"
+        assert description.read_candidates(fragment).candidates == ()
     local = ["127.0.0.1", "127.9.9.9", "::1", "::ffff:127.0.0.1"]
     far = ["192.0.2.1", f"{'a' * 8}-{'b' * 27}.local"]
     text = "\n".join(candidate(address, 5000) for address in (*local, *far))
@@ -182,16 +175,13 @@ def test_loopback_is_for_a_partner_on_this_machine():
     assert description.clean_candidates(text, loopback=False) == kept
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
+def test_a_line_that_is_malformed_and_not_needed_refuses_nothing():
+    for line in (
         *("a=fmtp:96", "a=fmtp:18 annexb=no", "a=fmtp:", "a=rtcp-fb:96", "a=rtcp-fb:*"),
         *("a=ssrc:7", "a=ssrc:7 cname", "a=ssrc:x cname:y", "a=ssrc-group:FID 1 x"),
         *("a=extmap:9 urn:x some more", "a=extmap:x urn:x", "a=extmap-allow-mixed"),
-    ],
-)
-def test_a_line_that_is_malformed_and_not_needed_refuses_nothing(line):
-    assert read(BROWSER.replace("a=mid:1\r\n", f"a=mid:1\r\n{line}\r\n")) == read()
+    ):
+        assert read(BROWSER.replace("a=mid:1\r\n", f"a=mid:1\r\n{line}\r\n")) == read(), line
 
 
 @pytest.mark.parametrize("turned", [False, True])

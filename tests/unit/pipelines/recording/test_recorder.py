@@ -309,18 +309,6 @@ def test_a_black_picture_takes_the_place_of_one_that_is_too_late(end, monkeypatc
     assert not any(one.dropped for one in disk.recorder.figures(None).channels.values())
 
 
-def test_missed_samples_are_counted_by_channel_in_the_file_and_in_the_report():
-    disk = Disk()
-    disk.pump(0)
-    for number in (5, 6, 9, 0, 1, 3):  # its writer was started again
-        disk.robot(number, 0)
-    (file,) = disk.end(NS_PER_S)
-    told = unpack(RecorderLosses, file["/recorder/losses"][-1].data)
-    missed = {"/haptic/up/sent": 3, "/haptic/down/received": 3}
-    assert {loss.channel: loss.missed for loss in told.losses} == missed == disk.counts("missed")
-    assert not any(loss.dropped for loss in told.losses)
-
-
 @pytest.mark.rule("4")
 def test_a_disk_that_stands_still_costs_messages_but_no_memory():
     disk, noise = Disk(most_waiting_octets=100_000), np.random.default_rng(0)
@@ -358,7 +346,7 @@ def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_befor
     assert unpack(RecorderLosses, last["/recorder/losses"][0].data).losses
 
 
-def test_a_part_ends_at_its_size_and_says_its_number():
+def test_a_part_ends_at_its_size_and_missed_samples_are_counted_by_channel():
     disk = Disk(limits=PartLimits(octets=20_000))
     noise = np.random.default_rng(0)
     for number in range(600):
@@ -375,6 +363,17 @@ def test_a_part_ends_at_its_size_and_says_its_number():
         facts = RecordingFacts.of(record.metadata)
         assert facts.part == part
         assert facts.wall_ns - facts.session_ns == OFFSET_NS
+
+    # Missed samples are counted by channel in the file and in the report.
+    disk = Disk()
+    disk.pump(0)
+    for number in (5, 6, 9, 0, 1, 3):  # its writer was started again
+        disk.robot(number, 0)
+    (file,) = disk.end(NS_PER_S)
+    told = unpack(RecorderLosses, file["/recorder/losses"][-1].data)
+    missed = {"/haptic/up/sent": 3, "/haptic/down/received": 3}
+    assert {loss.channel: loss.missed for loss in told.losses} == missed == disk.counts("missed")
+    assert not any(loss.dropped for loss in told.losses)
 
 
 @given(st.lists(st.tuples(st.integers(0, 900), st.integers(0, 2900)), max_size=12))

@@ -125,7 +125,7 @@ def test_a_page_is_told_first_where_it_is_and_what_it_sees(space, ground):
     assert [each["name"] for each in hello["inputs"]] == ["ground_mic"]
 
 
-def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest(space):
+def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest(space, ground):
     for number in range(4):
         space.give_unit(number, key=number == 0)
     page = space.open(Role.VIEWER)
@@ -134,6 +134,15 @@ def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest(spa
     assert page.units() == [(2, 4)]
     space.give_unit(5, key=True)
     assert page.units() == [(1, 5)]
+
+    # Every page gets sound, haptics and previews.
+    pages = [ground.open(Role.VIEWER, unread=False) for _ in range(2)]
+    media = ground.seat.media
+    media.handle_sound(2, b"\1\0" * 960, CaptureStamp(5, 1, "x", Quality.CONCEALED))
+    media.handle_haptics(1, HAPTICS)
+    media.handle_preview(3, empty_picture(160, 120), CaptureStamp(5, 1, "head"))
+    for page in pages:
+        assert [one[:3] for one in page.sent()] == [b"\2\2\1", b"\3\1\x14", b"\4\3\xa0"]
 
 
 @pytest.mark.rule("4")
@@ -182,16 +191,6 @@ def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits
     assert page.units()[-1] == (0, 6)
 
 
-def test_every_page_gets_sound_haptics_and_previews(ground):
-    pages = [ground.open(Role.VIEWER, unread=False) for _ in range(2)]
-    media = ground.seat.media
-    media.handle_sound(2, b"\1\0" * 960, CaptureStamp(5, 1, "x", Quality.CONCEALED))
-    media.handle_haptics(1, HAPTICS)
-    media.handle_preview(3, empty_picture(160, 120), CaptureStamp(5, 1, "head"))
-    for page in pages:
-        assert [one[:3] for one in page.sent()] == [b"\2\2\1", b"\3\1\x14", b"\4\3\xa0"]
-
-
 @pytest.mark.rule("10")
 def test_the_hand_of_the_holder_alone_moves_and_lets_go_when_its_page_is_gone(space):
     one, other = space.open(), space.open()
@@ -225,6 +224,7 @@ def test_people_know_who_has_the_handle_and_who_asks_for_it(space):
     assert space.open(now_ns=2).texts("hello")[0]["name"] == "operator"
 
 
+@pytest.mark.rule("4")
 @pytest.mark.rule("10")
 def test_a_viewer_watches_only(space):
     viewer = space.open(Role.VIEWER, unread=False)
@@ -237,9 +237,8 @@ def test_a_viewer_watches_only(space):
     viewer.send(struct.pack("<B7xd", 0x81, 2.5), 3000)
     assert viewer.sent() == [struct.pack("<B7xdq", 5, 2.5, 3)]
 
-
-@pytest.mark.rule("4")
-def test_viewers_are_bounded_and_keep_nobody_out_who_may_act(space):
+    # Viewers are bounded and keep nobody out who may act.
+    viewer.close(0)
     for role, most in ((Role.VIEWER, MOST_VIEWERS), (Role.OPERATOR, MOST_ACTING)):
         for _ in range(most):
             assert not space.seat.is_full(role)

@@ -99,7 +99,7 @@ def test_a_person_goes_through_all_trials_and_the_next_one_follows(person):
     assert person.desk.phase is StudyPhase.CONSENT and "participant 2" in person.shown.words[1]
 
 
-def test_who_lets_go_begins_the_trial_again_and_it_is_counted(person):
+def test_who_lets_go_is_silent_or_busy_begins_the_trial_again_and_it_is_counted(person):
     person.begin()
     person.hold(0.5)
     person.device.handle_input(PageInput(False, 0.0, 0.0))
@@ -109,9 +109,6 @@ def test_who_lets_go_begins_the_trial_again_and_it_is_counted(person):
     assert person.shown.words[0] == "The handle was let go, so this trial begins again."
     (first, *_) = person.hold(12)
     assert (first.trial, first.attempts) == (1, 2)
-
-
-def test_a_page_that_says_nothing_and_a_busy_computer_end_an_attempt():
     for silence_ns, steps in ((10 * NS_PER_MS, 15), (150 * NS_PER_MS, 1)):
         person = Person()
         person.begin()
