@@ -11,7 +11,7 @@ from shaped_boards import RoundBoard, SlantedBoard
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
 from telepresence.haptics.bilateral import RobotSide
-from telepresence.haptics.board import WALL_X_M, WallModel
+from telepresence.haptics.board import WALL_X_M
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, HandModel, Waypoint
 from telepresence.haptics.mediated.controller import MediatedController, RendererModel
@@ -101,21 +101,6 @@ def test_a_slanted_and_a_round_wall_are_felt_along_their_normal(degrees, to_m, r
     assert largest_step_n(rows) < 1.0
     assert far.space.controller.port.in_j > 0.1
     check_energy(far)
-
-
-@pytest.mark.parametrize("wall", [WallModel(x_m=0.09), WallModel(x_m=0.052), WallModel(x_m=0.2)])
-def test_a_wall_that_moves_or_vanishes_makes_no_jump_and_no_energy(wall):
-    far = MediatedPair(300, SOFT_GRIP, script=PRESS)
-    far.run(7.3)
-    board = far.ground.robot.board
-    board.wall, board._wall_x = wall, wall.x_m
-    far.run(4.7)
-    rows = far.rows
-    assert largest_step_n(rows) < 1.0
-    check_energy(far)
-    pen_m = far.handle.x_m - wall.x_m
-    expected_n = 600.0 * pen_m if pen_m > 0.0 else 0.0
-    assert -rows[-1, 1] == pytest.approx(expected_n, rel=0.05, abs=0.1)
 
 
 PUSH_6_N = HandModel(stiffness_n_m=1000.0, damping_n_s_m=20.0, mass_kg=0.4, push_n=6.0)

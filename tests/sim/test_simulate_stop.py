@@ -2,28 +2,13 @@
 
 import json
 import signal
-from itertools import count
 
 from kontur_av.clock import NS_PER_S
 from pipelines.cli import main
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual import simulate as simulate_module
 from pipelines.virtual.session import Simulation
-from pipelines.virtual.simulate import simulate
 from pipelines.virtual.workers import Workers
-
-
-def test_a_simulation_that_is_stopped_reports_the_time_until_then():
-    looks = count()
-    report = simulate(
-        load_setup("spacejustin"),
-        seconds=3600,
-        seed=1,
-        media=False,
-        stopped=lambda: next(looks) >= 30,
-    )
-    assert report.seconds == 1.5
-    assert report.haptic["up"].receiver.received > 1000
 
 
 def test_a_run_in_pieces_gives_the_same_report():

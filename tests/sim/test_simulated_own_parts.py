@@ -26,7 +26,7 @@ class Felt(own_robot.Mass):
 
 
 def test_the_hand_leads_the_robot_to_its_wall_at_any_delay():
-    robot, joystick = Felt(), own_joystick.Lever()
+    robot, joystick = Felt(), own_joystick.HeldLever()
     setup = load_setup("taskboard", changes={"radio_delay_ms": 100})
     report = simulate(
         setup, seconds=6, seed=1, media=False, robot=DrivenRobot(robot), joystick=joystick
