@@ -270,6 +270,14 @@ def test_too_many_or_too_large_is_refused():
         entity.put("a", "", b"", 0)
 
 
+def test_a_long_transfer_is_remembered_while_many_short_ones_end():
+    pair, transfer = putting(seconds=0, rate_bps=64_000)
+    for _ in range(70):
+        pair.ground.entity.ask(REMOVE, "none", "", pair.now_ns)
+        pair.run(0.1)
+    assert pair.ground.entity.transfers[transfer.number] is transfer
+
+
 def test_checksums_of_the_standard():
     """CRC-32 of the check string, and annex F's modular sum of words."""
     assert file_sum(pdus.ChecksumType.CRC_32, b"123456789").hex() == "cbf43926"

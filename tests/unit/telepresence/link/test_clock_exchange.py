@@ -332,6 +332,7 @@ class Gateways:
         self.ahead_ns, self.drift, self.radio_ns = ahead_ns, drift, radio_ns
         self.compare = compare
         self.true_ns = 0
+        self.way_in = None
         #: Packets that came out on the ground.
         self.on_ground = []
         self.space, self.ground = self.gateway(1), self.gateway(2)
@@ -388,7 +389,14 @@ class Gateways:
                         on_the_way.append((at_ns + NETWORK_NS, far, frame))
                 while on_the_way and on_the_way[0][0] <= at_ns:
                     came_ns, far, frame = on_the_way.pop(0)
-                    self.take(far, frame, came_ns if far is self.ground else self.space_ns(came_ns))
+                    if far is self.ground:
+                        self.take(far, frame, came_ns)
+                    elif self.way_in is None:
+                        self.take(far, frame, self.space_ns(came_ns))
+                    else:
+                        self.way_in.handle_frame(frame, self.space_ns(came_ns))
+                while self.way_in is not None and (frame := self.way_in.poll_transmit(now_ns)):
+                    self.take(self.space, frame, now_ns)
             self.true_ns += MS
 
 
@@ -404,6 +412,24 @@ def test_both_ends_find_the_offset_whatever_the_radio_delays(radio_ns):
     # 20 at first, then one every two seconds.
     assert 20 < ground.messages_sent < 26
     assert ground.messages_received in (space.messages_sent, space.messages_sent - 1)
+
+
+def test_a_radio_on_the_way_in_is_no_part_of_the_network():
+    pair = Gateways(12 * S)
+    pair.way_in = pair.space.radio_in = RadioPath(delay_ns=10 * MS)
+    pair.run(6)
+    figures, wrong_ns = pair.clock_of(pair.space)
+    assert wrong_ns <= figures.error_ns < 2 * NETWORK_NS
+
+
+def test_a_restarted_peer_is_measured_anew():
+    pair = Gateways(S)
+    pair.run(3)
+    pair.ground = pair.gateway(3)
+    pair.run(3)
+    figures, wrong_ns = pair.clock_of(pair.space)
+    assert wrong_ns <= figures.error_ns < MS
+    assert figures.restarts == 0
 
 
 def test_ends_of_one_machine_send_no_clock_and_an_end_that_compares_none_drops_it():

@@ -275,6 +275,28 @@ def test_a_loss_of_signal_flushes_waiting_packets():
     assert sum(drop["signal_lost"] for drop in drops)
 
 
+@pytest.mark.parametrize("side", SIDES)
+def test_a_single_working_direction_keeps_carrying(side):
+    """side: what it sends arrives."""
+    one, far = connected(), OTHER[side]
+    since_ns = one.link.now_ns
+    one.shut(far)
+    one.run(4_000)
+    states = [one.end(each).supervisor.state.name for each in (side, far)]
+    assert states == ["SEARCH", "CONFIGURE"]
+    until_ns = one.link.now_ns - 100 * MS
+    assert not one.lost(far, since_ns + 50 * MS, until_ns)
+    media = one.came(far, "voice", "video", since_ns=since_ns)
+    assert len(media) >= 0.97 * (4_000 // 20 + 4_000 // 33)
+    assert max(at - put for at, put in media) <= 200 * MS
+    one.shut()
+    one.run(100)
+    assert one.states == ["CONNECTED"] * 2
+    # What the other side put in meanwhile was not kept for later.
+    back_ns = one.link.now_ns - 300 * MS
+    assert all(put > back_ns for _, put in one.came(side, "tm", since_ns=since_ns + 50 * MS))
+
+
 def test_a_reset_of_the_applications_forgets_what_the_peer_sent_before():
     """Nothing comes for long: header contexts from before are no longer reported as held."""
     one = connected(traffic=("samples", "voice"))
@@ -381,6 +403,20 @@ def test_a_real_restart_takes_a_round_trip_more(side, strange):
         # The new life understands voice without waiting for the next context, a second later.
         since_ns = begun_ns + 120 * MS
         assert not one.lost(each, since_ns, begun_ns + 900 * MS, flows=("voice",))
+
+
+def test_a_peer_whose_delay_falls_is_followed_again_after_a_round_trip():
+    """Its frames come before their time, as those of a stranger that guesses counts would."""
+    one = Session(delay_ms=400).run(3000)
+    one.shut(*SIDES)
+    one.run(500)
+    for side in SIDES:
+        one.end(side).radio = Path(DELAY_MS, one.random)
+    changed_ns = one.link.now_ns
+    one.run(2000)
+    for side, report in zip(SIDES, one.reports(), strict=True):
+        assert not one.lost(side, changed_ns + 100 * MS, changed_ns + 1900 * MS)
+        assert report.receive.restarts == report.supervision.counts["peer_restarts"] == 0
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -14,7 +14,7 @@ from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import JoystickOperation, calibrate
 from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
-from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import Feedback
@@ -338,6 +338,18 @@ def test_a_release_a_press_and_a_sensor_failure_are_noticed_in_the_same_cycle(se
     session.device.read = lambda: wrong
     assert session.run(0.001).state is not APPLICATION
     assert session.handle.force_limit_n == 0.0
+
+
+def test_the_robots_led_is_lit_here_and_a_device_that_is_gone_is_so_for_good(session):
+    session.robot = False
+    for lit, leds in ((2, 0b100), (None, 0)):
+        session.handle.handle_feedback(QUIET._replace(lit=lit))
+        assert session.run(0.001).device.leds == leds
+    session.device.close()
+    assert session.run(0.01).handle.state == JoystickState.FATAL
+    assert session.handle.force_limit_n == 0.0
+    for event in REQUESTS:
+        assert "the device is gone: plug it in and restart" in session.asks(event), event
 
 
 def test_a_trainers_exercise_is_a_fault_until_its_end_and_then_it_recovers_by_itself(session):

@@ -265,6 +265,27 @@ def test_contexts_that_are_not_acknowledged_follow_after_twice_the_time_each(ans
     assert compressor.report()["context"] == len(counts)
 
 
+def test_an_acknowledgement_ends_the_back_off():
+    compressor = RtpCompressor(VOICE, SLOT_NS)
+    compressor.handle_peer(heard=True)
+    packets = steady_voice(60)
+    numbers = []
+    for count, packet in packets:
+        kind, body, _ = compressor.compress(packet, count)
+        if kind == KIND_CONTEXT:
+            numbers.append((count, body[0]))
+        if count == 1000:
+            # The peer has received the newest one.
+            compressor.handle_acknowledgement(numbers[-1][1], count)
+            acknowledged = numbers[-1][0]
+        if 1000 < count < acknowledged + 8000:
+            assert kind == KIND_BARE
+    # Renewed after 8 s, and not acknowledged again: 3.2 s each from then on.
+    later = [count for count, _ in numbers if count > 1000]
+    assert later[0] == acknowledged + 8000
+    assert {b - a for a, b in pairwise(later)} == {3200}
+
+
 @pytest.mark.parametrize(("heard", "seconds"), [(True, 8), (False, 1)])
 def test_a_context_that_fits_is_renewed_every_eight_seconds_and_one_way_each_second(heard, seconds):
     path = Path(VOICE, heard=heard)

@@ -23,6 +23,7 @@ from telepresence.link.protection.channel import (
     SessionBegun,
 )
 from telepresence.link.protection.datagrams import (
+    HANDSHAKE,
     KNOCK,
     RECORD,
     SEGMENT_OVERHEAD_OCTETS,
@@ -260,6 +261,25 @@ def test_the_old_keys_are_forgotten_after_the_overlap():
     pair.inject(late, SPACE_ADDRESS, GROUND_ADDRESS)
     pair.run(0.1)
     assert pair.ground.dropped == {"unknown_key": 1}
+
+
+def test_late_datagrams_of_a_peer_that_restarted_do_not_disturb_its_new_attempt():
+    pair = ProtectedPair()
+    # Nothing of ground's flight arrives, so the first attempt stays open.
+    pair.blocks = lambda end, datagram: end is pair.ground and len(datagram) > 600
+    pair.start().run(0.5)
+    late = [each for end, each in pair.recorded if end is pair.space and each[0] == HANDSHAKE]
+    assert late
+    pair.space.start(pair.now_ns)
+    pair.run(0.5)
+    for datagram in late:
+        pair.inject(datagram, SPACE_ADDRESS, GROUND_ADDRESS)
+    pair.run(0.1)
+    assert pair.ground.dropped["stale"] >= len(late)
+    assert [event.why for event in pair.ground.of(HandshakeFailed)] == ["the peer began anew"]
+    pair.blocks = lambda end, datagram: False
+    pair.run(2)
+    assert sessions(pair) == [1, 1]
 
 
 def test_a_silent_peer_is_asked_for_new_keys_after_two_seconds_unless_it_returns():

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from pus_ends import (
     FATES,
     MS,
+    Ends,
     LossyPath,
     S,
     command,
@@ -198,6 +199,45 @@ def test_reports_are_counted_and_of_unfetched_ones_the_oldest_goes():
     user.handle_telemetry(report(17, 2, apid=0x202), 0)
     assert (user.reports, user.dropped_events, user.unexpected) == (257, 1, 1)
     assert [one.unix_ns // S for one in events(user)] == list(range(1, 257))
+
+
+def test_each_request_is_answered_from_end_to_end():
+    ends = Ends()
+    heat = ends.user.call("oven", "heat", [180.5], now_ns=0)
+    ends.step()
+    assert ends.events() == [
+        CommandProgress(heat, "oven", ACCEPTED),
+        CommandProgress(heat, "oven", STARTED),
+        CommandResult(heat, "oven", True, True, "", 0, 1),
+    ]
+    ends.refusal = "the door is open"
+    ends.user.call("oven", "off", now_ns=0)
+    ends.user.ping("oven", now_ns=0)
+    ends.user.set_parameters("oven", {"target": 99.5}, now_ns=0)
+    ends.user.request_parameters("oven", ["target"], now_ns=0)
+    ends.oven.handle_values({"temperature": 20.0, "door": "open", "lit": True}, 0)
+    ends.user.switch_housekeeping("oven", "state", on=False, now_ns=0)
+    ends.user.request_housekeeping("oven", "light", now_ns=0)
+    ends.run(3 * S)
+    assert ends.calls == [
+        ("FunctionRequest", ("heat", (180.5,))),
+        ("FunctionRequest", ("off", ())),
+        ("ParameterSet", ("target", 99.5)),
+    ]
+    told = [one for one in ends.events() if not isinstance(one, CommandProgress)]
+    results = [one for one in told if isinstance(one, CommandResult)]
+    assert [one.reason for one in results if not one.ok] == ["the door is open"]
+    assert len(results) == 6
+    light = pus_user.HousekeepingReport("oven", "light", {"lit": True}, 0)
+    target = pus_user.ParameterReport("oven", {"target": 99.5}, 0)
+    assert [one for one in told if one not in results] == [
+        pus_user.Alive("oven", 0),
+        target,
+        light,
+    ]
+    ends.user.switch_housekeeping("oven", "light", on=True, now_ns=ends.now_ns)
+    ends.run(5500 * MS)
+    assert len(ends.events(pus_user.HousekeepingReport)) == 3
 
 
 def test_unknown_names_and_unfit_values_are_refused():
