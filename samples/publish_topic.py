@@ -82,4 +82,5 @@ if __name__ == "__main__":
     try:
         main()
     except KeyboardInterrupt:
-        remove_session("my-topics")
+        if sys.argv[1:] == ["publish"]:
+            remove_session("my-topics")

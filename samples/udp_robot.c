@@ -31,6 +31,7 @@ enum { POWER = 1, ACTIVE = 2 };                     /* of a robot: the states wa
 enum { CALIBRATED = 2, APPLICATION = 3 };           /* of a joystick: two of its states */
 enum { CONTACT = 1, DEAD_MAN = 2 };                 /* what a reading's detail can say */
 #define SILENCE_NS 50000000                         /* who hears nothing for so long stops */
+#define LIMIT_N 25.0                                /* the robot's largest force on an axis */
 
 /* SHA-256 (FIPS 180-4) and HMAC (RFC 2104) of keys with 32 octets. */
 
@@ -152,12 +153,15 @@ static double wall(void)
 /* The device moves on by dt seconds, at most a millisecond. */
 static void advance(double dt)
 {
-    const double mass_kg = 1.0, friction_n_s_m = 2.0;
+    const double mass_kg = 1.0, friction_n_s_m = 2.0, brake_n_s_m = 100.0;
     const double radius_m = 0.045, turn_rad_s = 1.571, held_s = 8.0, free_s = 0.5;
     static double since_s, cosine = 1.0, sine;
-    if (role == ROBOT && state == ACTIVE) {
+    if (role == ROBOT) {
+        /* One that is not active has no force, and brakes. */
+        double friction = state == ACTIVE ? friction_n_s_m : brake_n_s_m;
         for (int i = 0; i < AXES; i++) {
-            double push = force[i] + (i ? 0.0 : wall()) - friction_n_s_m * speed[i];
+            double push = (state == ACTIVE ? force[i] : 0.0) + (i ? 0.0 : wall());
+            push -= friction * speed[i];
             speed[i] += push / mass_kg * dt;
             place[i] += speed[i] * dt;
         }
@@ -171,19 +175,16 @@ static void advance(double dt)
         place[0] = radius_m * (1.0 - cosine), place[1] = radius_m * sine;
         speed[0] = radius_m * turn * sine, speed[1] = radius_m * turn * cosine;
     } else {
-        /* A robot brakes; a hand lets go, and the stick springs back to its middle. */
+        /* The hand lets go, and the stick springs back to its middle. */
         since_s = sine = 0.0, cosine = 1.0, pressed = 0;
-        for (int i = 0; i < AXES; i++) {
-            speed[i] = 0.0;
-            if (role == JOYSTICK) place[i] = 0.0;
-        }
+        for (int i = 0; i < AXES; i++) speed[i] = place[i] = 0.0;
     }
 }
 
 static uint8_t *put_facts(uint8_t *at)
 {
     const char *name = role == ROBOT ? "a mass in C" : "a circling hand in C";
-    at = put_float(at, role == ROBOT ? 25.0 : 0.0); /* largest force on an axis; 0: no motors */
+    at = put_float(at, role == ROBOT ? LIMIT_N : 0.0); /* largest force; 0: no motors */
     at = put_float(at, role == ROBOT ? 0.5 : 0.0);  /* largest speed of a robot, m/s */
     at = put_float(at, 0.0);                        /* of a joystick with motors: mass, */
     at = put_float(at, 0.0);                        /* Coulomb friction, */
@@ -275,7 +276,13 @@ static size_t answer(uint8_t *out, const uint8_t *in, size_t size)
     now.newest = number;
     heard_ns = clock_ns();
     state = in[3];
-    for (int i = 0; i < AXES; i++) force[i] = got_float(in + HEAD + 12 + 12 * i);
+    for (int i = 0; i < AXES; i++) {
+        double wanted = got_float(in + HEAD + 12 + 12 * i);
+        /* Whatever it is told, it exerts no more than it can, and nothing that is no number. */
+        force[i] = !(wanted >= -LIMIT_N) ? wanted < 0.0 ? -LIMIT_N : 0.0
+                   : wanted > LIMIT_N    ? LIMIT_N
+                                         : wanted;
+    }
     return measure(out);
 }
 
@@ -319,7 +326,8 @@ int main(int count, char **words)
     close(random);
     next = now;
     /* As the session's own loops; without the right to it, the system may be late. */
-    sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = 20});
+    if (sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = 20}))
+        perror("no real-time priority, so it may be late");
     int64_t at_ns = clock_ns();
     for (;;) {
         uint8_t in[LONGEST + 1], out[LONGEST];

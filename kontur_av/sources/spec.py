@@ -7,8 +7,10 @@ own. All of them are called as a scene's factory is, and with what the SPEC name
 A class's static method `check_source`, if it has one, refuses what cannot work.
 """
 
+import logging
 import os
 from collections.abc import Iterable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -165,5 +167,13 @@ def _sample(path: str) -> str:
     package = Path(__file__).resolve().parents[1]
     for folder in (package, package.parent / "samples"):
         if path == CLIP and (folder / CLIP).is_file():
+            _say_own_clip()
             return str(folder / CLIP)
     return path
+
+
+@cache
+def _say_own_clip() -> None:
+    """Once in a program: another file of this name may have been meant."""
+    words = "there is no file %s here: the package's own clip is played"
+    logging.getLogger(__name__).warning(words, CLIP)

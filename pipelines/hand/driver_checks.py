@@ -39,7 +39,7 @@ from telepresence.haptics.schedule import PeriodicSchedule
 
 #: After an order to stop it comes to rest within this.
 _STOP_NS = 200 * NS_PER_MS
-#: A robot that runs alone stops after this long without a cycle.
+#: A robot keeps no force longer than this, and one that runs alone stops without a cycle.
 _ALONE_NS = 50 * NS_PER_MS
 #: The call of `deactivate` may take this long; the loop waits for it.
 _MOST_CALL_MS = 1.0
@@ -81,12 +81,16 @@ class RobotCheck(DeviceCheck[RobotReading]):
         return slows, Figure("deactivate", call_ms, "ms", most=_MOST_CALL_MS)
 
     def missed_cycles(self) -> tuple[Figure, ...]:
-        """A session that is late by 50 ms does not make it run away."""
+        """A session that is late by 50 ms does not make it run away, nor keep its force."""
         with self._activated():
-            self._cycles(SPELL_NS // 3, self._gentle(0))
-            late = self._cycles(50 * NS_PER_MS, None)
-        fastest = max(map(speed, late))
-        return (Figure("speed", fastest, "m/s", most=self._device.facts.speed_m_s),)
+            self._cycles(SPELL_NS // 3, self._gentle(1))
+            late = self._cycles(_ALONE_NS, None)
+            after = self._cycles(SPELL_NS // 6, None)
+        fastest = max(map(speed, late + after))
+        figure = Figure("speed", fastest, "m/s", most=self._device.facts.speed_m_s)
+        # Of one that runs alone, `silence` tells.
+        keeps = self._takes_force and not self._runs_alone
+        return (figure, self._slows(late, after)) if keeps else (figure,)
 
     def silence(self) -> tuple[Figure, ...]:
         """Hearing nothing at all, it comes to rest by itself."""

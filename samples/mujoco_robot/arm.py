@@ -25,6 +25,8 @@ from telepresence import RobotFacts, RobotReading
 _STARTS_WITHIN_S = 20.0
 #: The physics is lost after so many cycles without news; it is started again after so many.
 _LOST, _AGAIN = 50, 1000
+#: A force of so many cycles ago is exerted no more.
+_KEEPS = 50
 
 
 class _Arm:
@@ -41,7 +43,7 @@ class _Arm:
         self._udp = own_socket(self._directory / self.side)
         self._order: tuple[int, float, float] = BRAKE, 0.0, 0.0
         self._reading = RobotReading(0.0, 0.0, 0.0, 0.0)
-        self._active, self._silent = False, _AGAIN
+        self._active, self._silent, self._age = False, _AGAIN, 0
         self._process: subprocess.Popen[bytes] | None = None
         until_s = time.monotonic() + _STARTS_WITHIN_S
         while self._silent:
@@ -68,13 +70,16 @@ class _Arm:
 
     def write_force(self, x_n: float, y_n: float) -> None:
         if self._active:
-            self._order = FOLLOW, x_n, y_n
+            self._order, self._age = (FOLLOW, x_n, y_n), 0
 
     def write_position(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> None:
         raise NotImplementedError("it takes forces")
 
     def advance(self, dt_ns: int) -> None:
         """Say what is ordered; with that the physics makes its next steps."""
+        self._age += 1
+        if self._active and self._age > _KEEPS:
+            self._order = BRAKE, 0.0, 0.0
         self._send(self._order, dt_ns)
         self._silent += 1
         if self._silent > _AGAIN:

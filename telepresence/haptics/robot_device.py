@@ -75,7 +75,7 @@ class RobotDevice(Protocol):
         """Return the newest measurement; the same one again if there is no newer."""
 
     def write_force(self, x_n: float, y_n: float) -> None:
-        """Exert this force at the tip (N, N) until the next call."""
+        """Exert this force at the tip (N, N) until the next call, but at most for 50 ms."""
 
     def write_position(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> None:
         """Follow this place (m) and velocity (m/s); only of a robot that takes places."""

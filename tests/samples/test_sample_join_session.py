@@ -27,9 +27,9 @@ def join(environment=None, *arguments):
 def test_a_program_joins_a_session_until_it_ends(tmp_path, monkeypatch):
     with RunningSession("taskboard", directory=tmp_path) as session:
         session.wait_for_flow(["uplink_video"])
-        done = join(session.environment)
+        done = join(session.environment, session.session, "static")
         assert done.returncode == 0, done.stderr
-        selected, pinged, *rest = done.stdout.splitlines()
+        pinged, selected, *rest = done.stdout.splitlines()
         for update in (selected, pinged):
             assert "ok=True" in update and "verified=True" in update
         for line in rest[:30]:

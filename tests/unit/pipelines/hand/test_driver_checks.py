@@ -40,6 +40,10 @@ class Placed(Mass):
 
     facts = replace(Mass.facts, takes="position")
 
+    def deactivate(self):
+        super().deactivate()
+        self.vx = self.vy = 0.0
+
     def write_position(self, x_m, y_m, vx_m_s, vy_m_s):
         if self.active:
             self.vx, self.vy = (x_m - self.x) * 50, (y_m - self.y) * 50
@@ -84,6 +88,8 @@ class Wrist(Guided, Mass):
 
     def advance(self, dt_ns):
         super().advance(dt_ns)
+        if self.age_s > 0.05:
+            self.release_axes()
         if self.active:
             self.advance_axes(dt_ns)
 
@@ -96,6 +102,10 @@ class LedWrist(Wrist):
         self.facts = replace(self.facts, takes="position")
 
     write_position = Placed.write_position
+
+    def deactivate(self):
+        super().deactivate()
+        self.vx = self.vy = 0.0
 
     def write_more_positions(self, places, speeds):
         if self.active:
@@ -244,7 +254,7 @@ def it_follows_though_it_is_not_active(robot):
     each_cycle(robot, follow)
 
 
-@fault(Mass, "passivity")
+@fault(Mass, "passivity", GREAT_FAULTS)
 def it_adds_to_the_motion(robot):
     def add():
         if robot.active:
@@ -274,13 +284,13 @@ def it_goes_on_when_it_is_switched_off(robot):
     robot.deactivate = lambda: given(robot, "force", (0.0, 0.0))
 
 
-@fault(Mass, "missed cycles")
+@fault(Mass, "missed cycles", GREAT_FAULTS)
 def without_orders_it_accelerates(robot):
     wrote = [True]
 
     def accelerate():
         if not wrote[0]:
-            robot.force = (10.0, 0.0)
+            robot.vy += 0.02
         wrote[0] = False
 
     told(robot, "write_force", lambda *forces: (wrote.__setitem__(0, True), *forces)[1:])
@@ -320,6 +330,7 @@ SIMPLE_FAULTS = [
         "yaw missed cycles",
         lambda d: given(d, "release_axes", lambda: given(d.axes[0], "force_n", 0.0)),
     ),
+    (Mass, "missed cycles", lambda d: each_cycle(d, lambda: given(d, "age_s", 0.0))),
     # A measurement is missing at times.
     (Lever, "readings", seldom(vy_m_s=nan)),
     (Mass, "readings", seldom(y_m=nan)),
