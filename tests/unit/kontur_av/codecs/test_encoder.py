@@ -68,18 +68,16 @@ def test_an_awaited_picture_is_softened_if_coded_small(pictures, monkeypatch):
 
     full = {"cap_bps": 512_000, "coded_size": (640, 480)}
     small, large = sizes(), sizes(**full)
-    monkeypatch.setattr("kontur_av.codecs.scaling.soften", lambda picture, pixels: None)
-    sharp = sizes()
-    assert small[0] < 0.9 * sharp[0] and small[20] < sharp[20]
-    assert list(large) == list(sizes(**full))
-
-
-def test_a_new_cap_softens_nothing(pictures, monkeypatch):
     softened = []
     monkeypatch.setattr("kontur_av.codecs.scaling.soften", lambda *of: softened.append(of))
-    units = encode(pictures("bigbuckbunny.mp4", 4), codings={2: Coding(cap_bps=113_000)})
-    assert keys(units) == [0, 2]
-    assert len(softened) == 1
+    sharp = sizes()
+    assert len(softened) == 2
+    assert small[0] < 0.9 * sharp[0] and small[20] < sharp[20]
+    assert list(large) == list(sizes(**full))
+    # A new cap softens nothing.
+    softened.clear()
+    units = encode(originals[:4], codings={2: Coding(cap_bps=113_000)})
+    assert keys(units) == [0, 2] and len(softened) == 1
 
 
 def test_a_thin_stream_is_coded_small_and_scaled_up(pictures):

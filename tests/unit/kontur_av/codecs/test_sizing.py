@@ -71,15 +71,6 @@ def test_a_picture_that_stands_grows_to_its_full_size(moved, earliest, latest):
     assert set(film.indices[:grown]) == {USUAL} and set(film.indices[grown:]) == {FULL}
 
 
-def test_a_cut_to_a_picture_that_stands_grows_again_unless_the_last_growth_was_in_vain():
-    film = Film()
-    film.show(400, BOARD)
-    film.show(1, BOARD, anew=True)
-    assert film.show(30, BOARD) == FULL
-    film.show(1, BOARD, anew=True)
-    assert film.show(30, BOARD) == USUAL
-
-
 COARSE = BOARD._replace(quantiser=tuple(step + 10 for step in BOARD.quantiser))
 NOISY = BOARD._replace(quantiser=(29, 32, 37, 44))
 
@@ -113,7 +104,12 @@ def test_footage_in_motion_is_coded_smaller_and_a_short_one_is_not():
     assert film.choice.changes == 1
 
 
-def test_growth_in_vain_is_tried_ever_less_often():
+def test_growth_in_vain_is_tried_ever_less_often_and_not_at_once_after_a_cut():
+    film = Film()
+    film.show(400, BOARD)
+    for size in (FULL, USUAL):
+        film.show(1, BOARD, anew=True)
+        assert film.show(30, BOARD) == size
     film = Film()
     grown = []
     for _ in range(4):

@@ -39,13 +39,10 @@ def test_each_pixel_comes_from_its_side_and_a_missing_camera_is_black(seam):
             cut = column // 2 if index else column
             assert np.array_equal(got[:, :cut], a[:, :cut])
             assert np.array_equal(got[:, cut:], b[:, cut:])
-
-
-def test_sizes_and_seam_are_refused():
     with pytest.raises(ConfigError, match=r"right camera gives 32x48.*64x48"):
-        merge(noise(1), noise(2, 32), empty_picture(64, 48))
+        merge(left, noise(2, 32), into)
     with pytest.raises(ConfigError, match="seam"):
-        merge(noise(1), noise(2), empty_picture(64, 48), 1.2)
+        merge(left, right, into, 1.2)
 
 
 def test_pairs_by_capture_time_and_stamps_with_the_older():
@@ -87,9 +84,7 @@ def test_continues_with_the_last_picture_of_a_dead_camera():
     pair = pairer.next_event()
     assert not pair.left_stale
     assert pair.left.stamp.capture_ns == 8 * PERIOD_NS
-
-
-def test_one_camera_alone_is_shown_after_a_while():
+    # One camera alone is shown after a while.
     pairer, shown = StereoPairer(period_ns=PERIOD_NS, stale_after_ns=100_000_000), []
     for k in range(6):
         pairer.handle_left(frame(k * PERIOD_NS), k * PERIOD_NS)

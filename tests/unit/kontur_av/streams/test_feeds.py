@@ -13,11 +13,16 @@ from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 SIZE, PERIOD_NS = (128, 96), 40 * NS_PER_MS
 
 
-class Grey:
-    """Grey pictures, each brighter, one for each read."""
-
+class Source:
     def __init__(self, clock):
-        self.clock, self.number, self.closed, self.silent = clock, 0, 0, False
+        self.clock, self.number, self.closed, self.silent, self.late_ns = clock, 0, 0, False, 0
+
+    def close(self):
+        self.closed += 1
+
+
+class Grey(Source):
+    """Grey pictures, each brighter, one for each read."""
 
     def read(self, into, timeout_ns):
         if self.silent:
@@ -26,9 +31,6 @@ class Grey:
         into[: SIZE[1]] = 60 + 10 * self.number
         self.number += 1
         return CaptureStamp(self.clock.now_ns(), self.number, "grey")
-
-    def close(self):
-        self.closed += 1
 
 
 def pictures(codec="h264", **changes):
@@ -105,10 +107,7 @@ def test_a_stream_of_pictures_is_described_before_its_first_packet():
         feed.close()
 
 
-class Tone:
-    def __init__(self, clock):
-        self.clock, self.number, self.closed, self.late_ns = clock, 0, 0, 0
-
+class Tone(Source):
     def read(self, timeout_ns):
         if timeout_ns == 0:
             return None
@@ -117,9 +116,6 @@ class Tone:
         stamp = CaptureStamp(self.clock.now_ns() - BLOCK_NS - self.late_ns, self.number, "tone")
         sound = (8000 * np.sin(2 * np.pi * 440 * at / 48_000)).astype(np.int16)
         return AudioFrame(sound, stamp)
-
-    def close(self):
-        self.closed += 1
 
 
 def test_sound_comes_out_as_it_went_in():

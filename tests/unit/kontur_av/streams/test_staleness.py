@@ -63,9 +63,7 @@ def test_continuously_old_pictures_are_one_stale_episode():
     display.show(330, latency_ms=300)
     assert display.staleness.stale.episodes == 2
     assert display.staleness.frozen.total_ns == 0
-
-
-def test_two_episodes_between_two_checks_count_as_two():
+    # Two between two checks count as two.
     staleness = Display().staleness
     staleness.handle_shown(0, 40 * MS)
     staleness.handle_shown(960 * MS, 1000 * MS)

@@ -21,6 +21,9 @@ def test_pictures_arrive_with_stamps_of_the_receivers_clock():
         assert (stamp.quality, stamp.rtp_timestamp) == (Quality.FRESH, event.timestamp)
     counts = stream.receiver.counts
     assert (counts.frames_received, counts.rtp.rtp_packets) == (10, 10)
+    counts = stream.sender.counts
+    assert (counts.frames_captured, counts.frames_encoded) == (10, 10)
+    assert (counts.frames_sent, counts.frames_refused) == (10, 0)
 
 
 @pytest.mark.parametrize(
@@ -40,6 +43,7 @@ def test_damage_is_healed_by_a_key_picture(numbers, marks, keys):
     assert (stream.marks, stream.keys) == (marks, keys)
     counts = stream.receiver.counts
     assert (counts.pictures_asked_for, counts.frames_withheld) == (1, marks.count("-"))
+    assert stream.sender.feedback.feedback_received == 1
 
 
 def test_without_a_key_picture_damage_is_shown_200_ms_after_a_pause():

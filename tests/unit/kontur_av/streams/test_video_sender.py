@@ -11,14 +11,6 @@ from kontur_av.streams.video_sender import PictureCoded
 NS_PER_S = 1_000_000_000
 
 
-def test_pictures_are_counted_as_they_are_sent():
-    counts = PictureStream().run(range(10)).sender.counts
-    assert (counts.frames_captured, counts.frames_encoded) == (10, 10)
-    assert (counts.frames_sent, counts.frames_refused) == (10, 0)
-    stream = PictureStream(lost={4}).run(range(12))
-    assert stream.sender.feedback.feedback_received == 1
-
-
 def test_the_refresh_is_slow_while_the_receiver_is_heard():
     stream = PictureStream().run(range(60))
     stream.way_back = False
@@ -34,9 +26,7 @@ def test_a_receiver_on_a_thin_channel_is_silent_without_losses():
     assert stream.receiver.poll_timeout() is None
     # A way back is assumed for half a second.
     assert stream.refreshes == [(0, SLOW_REFRESH_S), (16, REFRESH_S)]
-
-
-def test_an_encoder_with_its_own_refresh_gets_none():
+    # An encoder with its own refresh gets none.
     assert PictureStream(make_sender(adapt_refresh=False)).run(range(40)).refreshes == []
 
 
