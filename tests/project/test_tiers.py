@@ -88,24 +88,18 @@ def test_the_default_tier_says_what_it_left_out_and_what_is_missing(run):
     assert "1 test: gnuplot: apt-get install gnuplot" in lines
     assert not any("realtime" in test for _, test, _ in events)
 
+    # A file that the command line names runs in any tier; the rest of the full tier is the rest.
+    for options in (("tests/realtime/test_it.py",), ("--full", "--skip-default")):
+        code, lines, _ = run({}, *options)
+        assert code == 0
+        assert re.match("3 passed", lines[-1])
+
 
 def test_the_full_tier_runs_everything_and_a_missing_program_fails(run):
     code, lines, _ = run({"unit": QUICK, "realtime": SLOW, "fuzz": LACKS}, "--full")
     assert code == 1
     assert re.match("1 failed, 9 passed, 1 skipped in", lines[-1])
     assert any("the full tier skips nothing: gnuplot" in line for line in lines)
-
-
-def test_the_rest_of_the_full_tier_is_what_the_default_left_out(run):
-    code, lines, _ = run({"unit": QUICK, "realtime": SLOW}, "--full", "--skip-default")
-    assert code == 0
-    assert re.match("3 passed", lines[-1])
-
-
-def test_a_file_that_the_command_line_names_runs_in_any_tier(run):
-    code, lines, _ = run({"unit": QUICK, "realtime": SLOW}, "tests/realtime/test_it.py")
-    assert code == 0
-    assert re.match("3 passed", lines[-1])
 
 
 def test_a_test_that_failed_has_failed(run):

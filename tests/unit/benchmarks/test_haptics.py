@@ -25,12 +25,21 @@ def carried(channel, datagrams):
     return arrived
 
 
-def test_samples_overtake_each_other_within_the_jitter():
+def test_samples_overtake_each_other_within_the_jitter_and_a_wrong_cell_is_refused():
     arrived = carried(SampleChannel(seed="1", delay_ns=20 * MS, jitter_ns=50 * MS), 5000)
     assert sorted(number for _, number in arrived) == list(range(5000))
     waits = [now - number for now, number in arrived]
     assert (min(waits), max(waits)) == (21, 70)
     assert sum(after < before for (_, before), (_, after) in pairwise(arrived)) > 2000
+    assert read_cell("delay=100, wall=2000") == Cell(delay=100.0, wall=2000.0)
+    assert read_cell("hand=arm-2kg,delay=5") == Cell(delay=5.0, hand="arm-2kg")
+    for text, mend in (
+        *(("delay", "NAME=VALUE"), ("colour=1", "NAME=VALUE"), ("delay=far", "a number")),
+        *(("delay=1001", "0 to 1000 ms"), ("delay=nan", "0 to 1000 ms"), ("loss=31", "0 to 30 %")),
+        ("hand=third", "loose, soft, firm"),
+    ):
+        with pytest.raises(ConfigError, match=mend):
+            read_cell(text)
 
 
 @pytest.mark.parametrize("burst", [1.0, 10.0])
@@ -43,18 +52,6 @@ def test_loss_share_and_burst_length_are_as_configured(burst):
     bursts = sum(number - 1 in there for number in lost)
     # Independent losses also come in a row: 1 / (1 - loss) on average.
     assert len(lost) / bursts == pytest.approx(max(burst, 1 / 0.7), rel=0.1)
-
-
-def test_a_cell_is_read_and_a_wrong_one_is_refused():
-    assert read_cell("delay=100, wall=2000") == Cell(delay=100.0, wall=2000.0)
-    assert read_cell("hand=arm-2kg,delay=5") == Cell(delay=5.0, hand="arm-2kg")
-    for text, mend in (
-        *(("delay", "NAME=VALUE"), ("colour=1", "NAME=VALUE"), ("delay=far", "a number")),
-        *(("delay=1001", "0 to 1000 ms"), ("delay=nan", "0 to 1000 ms"), ("loss=31", "0 to 30 %")),
-        ("hand=third", "loose, soft, firm"),
-    ):
-        with pytest.raises(ConfigError, match=mend):
-            read_cell(text)
 
 
 def test_the_small_grid_reaches_the_limits_of_the_claims_and_random_cells_meet_every_value():

@@ -75,16 +75,13 @@ def report_of(counted):
     }
 
 
-def test_a_recording_agrees_with_the_report_of_its_session(counted, written):
+def test_a_recording_agrees_with_its_report_and_what_differs_is_found(counted, written):
     assert counted.units["/uplink_video/sent"] == len(written.units["uplink_video"])
     assert counted.messages.total() == sum(map(len, written.told.values()))
     assert counted.samples_sent("up") == (3000, 0)
     found = compare(counted, JsonReader(report_of(counted)))
     assert [one.what for one in found if not one.agrees] == []
     assert {"ms", "bit/s", ""} == {one.unit for one in found}
-
-
-def test_what_differs_is_found(counted):
     report = report_of(counted)
     report["streams"]["uplink_video"]["frames_sent"] += 2
     report["streams"]["uplink_voice"]["latency_ms"] = latency(LINK_NS / MS)

@@ -30,7 +30,7 @@ def test_it_is_off_at_first_only_where_tasks_switch_it_on(tasks, powered):
 
 
 @pytest.mark.rule("S10")
-def test_what_was_sent_to_an_earlier_life_changes_nothing():
+def test_what_was_sent_to_an_earlier_life_changes_nothing_and_the_status_has_an_interval():
     desk = robot_desk(tasks=True)
     desk.handle_order(RobotOrder(5, "power", on=True), BEGAN_NS - 1, BEGAN_NS)
     desk.handle_command(RobotCommand(5, "power_on"), BEGAN_NS - 1, BEGAN_NS)
@@ -38,6 +38,16 @@ def test_what_was_sent_to_an_earlier_life_changes_nothing():
     assert (status.powered, status.handled, status.commanded) == (False, 0, None)
     desk.handle_order(RobotOrder(6, "power", on=True), BEGAN_NS, BEGAN_NS)
     assert desk.status(BEGAN_NS).powered
+    desk, told = robot_desk(tasks=True), []
+    ordered_ns = BEGAN_NS + 1510 * MS
+    for now_ns in range(BEGAN_NS, BEGAN_NS + 2000 * MS, MS):
+        desk.step(now_ns)
+        if now_ns == ordered_ns:
+            desk.handle_order(RobotOrder(1, "power", on=True), now_ns, now_ns)
+        if desk.poll_status(now_ns) is not None:
+            told.append(now_ns)
+    assert told[1] - told[0] == STATUS_NS and ordered_ns in told
+    assert desk.status(now_ns).step_hz == pytest.approx(1000, rel=0.01)
 
 
 def test_telecommands_are_answered_with_a_refusal_in_words():
@@ -55,19 +65,6 @@ def test_telecommands_are_answered_with_a_refusal_in_words():
     status = desk.poll_status(BEGAN_NS)
     assert (status.error, status.fault) == ("other", "a wire broke")
     assert "reset it first: a wire broke" in status.command_refusal
-
-
-def test_the_status_is_told_at_its_interval_and_at_changes():
-    desk, told = robot_desk(tasks=True), []
-    ordered_ns = BEGAN_NS + 1510 * MS
-    for now_ns in range(BEGAN_NS, BEGAN_NS + 2000 * MS, MS):
-        desk.step(now_ns)
-        if now_ns == ordered_ns:
-            desk.handle_order(RobotOrder(1, "power", on=True), now_ns, now_ns)
-        if desk.poll_status(now_ns) is not None:
-            told.append(now_ns)
-    assert told[1] - told[0] == STATUS_NS and ordered_ns in told
-    assert desk.status(now_ns).step_hz == pytest.approx(1000, rel=0.01)
 
 
 class JoystickDesk:

@@ -78,7 +78,7 @@ def test_each_recorded_cycle_is_sent_in_its_cycle_and_contacts_are_told():
     assert last // NS_PER_MS == 599
 
 
-def test_of_two_rows_in_one_cycle_the_newer_is_sent_and_a_lost_cycle_sends_nothing():
+def test_of_two_rows_in_one_cycle_the_newer_is_sent_and_a_late_process_tells_what_it_left_out():
     late = np.zeros(300, np.int64)
     late[100] = 900_000
     late[200:] = 0
@@ -92,6 +92,17 @@ def test_of_two_rows_in_one_cycle_the_newer_is_sent_and_a_lost_cycle_sends_nothi
     assert 101 in sent[0]
     assert not sent[1] & set(range(150, 160))
     assert {149, 160} <= sent[1]
+    told = []
+    context = SimpleNamespace(
+        started_ns=0,
+        clock=SimpleNamespace(now_ns=lambda: 3 * NS_PER_S),
+        probe=SimpleNamespace(tell=told.append),
+    )
+    items = [(second * NS_PER_S, b"") for second in range(5)]
+    script = ReplayStart(recorded_ns=0, lead_ns=NS_PER_S, speed=1.0).script(context, items, 1)
+    # Those of seconds 0 and 1 were due at 1 s and 2 s.
+    assert told == [ReplayFigures(items_left_out=2)]
+    assert script.poll_timeout() == 3 * NS_PER_S + 1
 
 
 @pytest.mark.parametrize("large", [1, 6])
@@ -143,17 +154,3 @@ def test_a_process_sends_each_item_when_it_is_due_and_a_restarted_one_repeats_no
     # One that overslept sends all that is due.
     late = started(0)
     assert [late.poll_due(5_043 * NS_PER_MS) is not None for _ in range(5)] == [True] * 4 + [False]
-
-
-def test_a_process_that_comes_late_tells_what_it_leaves_out():
-    told = []
-    context = SimpleNamespace(
-        started_ns=0,
-        clock=SimpleNamespace(now_ns=lambda: 3 * NS_PER_S),
-        probe=SimpleNamespace(tell=told.append),
-    )
-    items = [(second * NS_PER_S, b"") for second in range(5)]
-    script = ReplayStart(recorded_ns=0, lead_ns=NS_PER_S, speed=1.0).script(context, items, 1)
-    # Those of seconds 0 and 1 were due at 1 s and 2 s.
-    assert told == [ReplayFigures(items_left_out=2)]
-    assert script.poll_timeout() == 3 * NS_PER_S + 1

@@ -70,7 +70,7 @@ def heard(end):
     return report.frames_received + sum(report.frames_dropped.values())
 
 
-def test_with_a_radio_on_the_way_in_an_end_wakes_up_for_its_frames():
+def test_with_a_radio_on_the_way_in_an_end_wakes_up_and_a_refused_datagram_leaves_a_reason():
     here, plain = make_end(Segment.GROUND, radio_both_ways=True), make_end(Segment.GROUND)
     peer = make_end(Segment.SPACE)
     peer.slots.handle_slot([bytes(12)], 0)
@@ -84,6 +84,12 @@ def test_with_a_radio_on_the_way_in_an_end_wakes_up_for_its_frames():
     assert here.handle_time(now_ns + round(delay_ns)) and not plain.handle_time(now_ns)
     assert heard(here) == 1
     assert here.tell(now_ns).transmit.frames == 1
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.connect(("127.0.0.1", 9))
+        out = Outlet(udp)
+        udp.shutdown(socket.SHUT_RDWR)
+        out.send(bytes(32))
+        assert (out.failed, out.why) == (1, "Broken pipe")
 
 
 def test_an_end_whose_frames_do_not_leave_delivers_nothing_until_they_do():
@@ -106,12 +112,3 @@ def test_an_end_whose_frames_do_not_leave_delivers_nothing_until_they_do():
     link.run(900, 1200)
     assert supervisor.state is LinkState.CONNECTED
     assert len(link.samples[link.space]) > heard + 200
-
-
-def test_a_refused_datagram_leaves_the_reason_of_the_system():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.connect(("127.0.0.1", 9))
-        out = Outlet(udp)
-        udp.shutdown(socket.SHUT_RDWR)
-        out.send(bytes(32))
-        assert (out.failed, out.why) == (1, "Broken pipe")

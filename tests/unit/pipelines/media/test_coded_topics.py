@@ -26,7 +26,7 @@ def received(*, size=(384, 288), quality=None, capture_ns=5, damaged=False):
     )
 
 
-def test_the_stamp_says_when_a_unit_was_captured_and_whether_a_loss_shows():
+def test_the_stamp_says_what_a_unit_is_and_a_reader_that_joins_gets_a_key_picture():
     coded, stamp = received(quality=Quality.DAMAGED)
     assert stamp == CaptureStamp(5, 7, "uplink_video", Quality.DAMAGED, 90)
     assert (coded.key, coded.damaged, coded.refused, coded.dated) == (True, False, False, True)
@@ -39,6 +39,14 @@ def test_the_stamp_says_when_a_unit_was_captured_and_whether_a_loss_shows():
     for size in (None, (4096, 4096)):
         coded, _ = received(size=size)
         assert (coded.refused, coded.width, coded.height) == (True, 0, 0)
+    stream = Stream().run(5).run(5, join=True)
+    assert (stream.keys, stream.asked) == ([0, 151], [150])
+    # It is killed and forgotten, and its successor joins, all between two units.
+    stream.topic.count = 0
+    stream.run(20, join=True)
+    # A new one in the place of one that was killed waits for the distance of two key pictures.
+    assert len(stream.keys) == 3
+    assert stream.keys[2] - stream.keys[1] == pytest.approx(300, abs=1)
 
 
 class Topic:
@@ -83,17 +91,6 @@ class Stream:
                     self.due = self.number + self.after
             self.number += 1
         return self
-
-
-def test_a_reader_that_joins_gets_a_key_picture_with_the_next_unit():
-    stream = Stream().run(5).run(5, join=True)
-    assert (stream.keys, stream.asked) == ([0, 151], [150])
-    # It is killed and forgotten, and its successor joins, all between two units.
-    stream.topic.count = 0
-    stream.run(20, join=True)
-    # A new one in the place of one that was killed waits for the distance of two key pictures.
-    assert len(stream.keys) == 3
-    assert stream.keys[2] - stream.keys[1] == pytest.approx(300, abs=1)
 
 
 @pytest.mark.parametrize(("after", "asked"), [(40, range(60, 100)), (10_000, range(60, 151))])

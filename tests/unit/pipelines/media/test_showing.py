@@ -94,7 +94,7 @@ def instants(end_s):
         yield due_ns - START_NS
 
 
-def test_snapshots_are_many_at_first_and_some_dozens_a_day_in_any_life_of_the_process():
+def test_snapshots_are_many_at_first_and_some_dozens_a_day():
     first, day = list(instants(20)), list(instants(86_400))
     assert first[0] == NS_PER_S
     assert len(first) >= 5 and len(day) <= 50

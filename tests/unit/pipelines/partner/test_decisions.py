@@ -85,7 +85,7 @@ def test_the_rate_follows_a_wish_only_below_what_is_sent_and_grows_back():
     assert rate.lowered == 2
 
 
-def test_a_picture_is_skipped_while_the_last_ones_are_too_large():
+def test_a_picture_is_skipped_after_large_ones_and_a_missing_unit_asks_for_a_key_picture():
     plan = decisions.PicturePlan(bps=800_000)
     assert plan.handle_picture(0).keyframe
     # 250 ms at this rate.
@@ -97,9 +97,6 @@ def test_a_picture_is_skipped_while_the_last_ones_are_too_large():
     plan.handle_rate(400_000)
     changed = plan.handle_picture(400 * NS_PER_MS)
     assert (changed.keyframe, changed.cap_bps) == (True, 400_000)
-
-
-def test_a_unit_that_is_missing_between_the_processes_asks_for_a_key_picture():
     plan = decisions.UplinkWish(most_bps=1_000_000)
     told = [(7, True), (8, False), (10, False), (11, False), (13, True)]
     wanted = [plan.handle_unit(number, 100, key=key, now_ns=number) for number, key in told]

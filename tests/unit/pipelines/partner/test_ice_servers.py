@@ -13,7 +13,7 @@ STUN = IceServer(url="stun:stun.example")
 TURN = IceServer(url="turn:turn.example:3478?transport=tcp", username="u", credential="p+/=")
 
 
-def test_credentials_end_by_themselves_and_turn_needs_them():
+def test_credentials_end_by_themselves_and_servers_go_through_a_link_header():
     username, credential = timed_credentials("a secret word", name="kontur", now_s=1_000_000_000)
     assert username == "1000003600:kontur"
     code = hmac.new(b"a secret word", username.encode(), hashlib.sha1).digest()
@@ -25,9 +25,6 @@ def test_credentials_end_by_themselves_and_turn_needs_them():
     with pytest.raises(ConfigError, match="relay-only"):
         IceServers(servers=(STUN,), relay_only=True).check()
     IceServers(servers=(TURN,), relay_only=True).check()
-
-
-def test_servers_go_through_a_link_header_and_back():
     # Nonsense in one: tests/fuzz/test_strangers_fuzz.py.
     servers = (STUN, TURN)
     links = IceServers(servers=servers).link_headers()

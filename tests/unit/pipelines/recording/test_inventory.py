@@ -62,7 +62,7 @@ def state(octets):
     return inventory_lines(take_inventory(memoryview(octets)), "a.mcap", 100)[4]
 
 
-def test_torn_and_damaged_recordings_say_how_to_mend_them():
+def test_torn_and_damaged_recordings_say_how_to_mend_them_and_losses_are_the_newest():
     octets = WRITTEN.octets
     assert state(octets[:-9]).startswith("torn or damaged: ")
     assert state(octets[:-9]).endswith("; `kontur-av recover a.mcap` mends it")
@@ -74,9 +74,6 @@ def test_torn_and_damaged_recordings_say_how_to_mend_them():
     assert state(bytes(index)).startswith("damaged, but every message can be read")
     mended = b"".join(Recovery(memoryview(octets[:-9])).pieces())
     assert state(mended).startswith("mended: ")
-
-
-def test_losses_of_the_recorder_are_the_newest_ones():
     stream = McapStream(library="kontur-av")
     stream.handle_metadata(FACTS, FACTS_OF_A_TEST.items())
     (losses,) = (row for row in channels_of(SESSION) if row.topic == "/recorder/losses")

@@ -64,7 +64,7 @@ def say(stream, now_ns, data=b"1", number=0):
     )
 
 
-def test_a_chunk_ends_by_time():
+def test_a_chunk_ends_by_time_or_size_and_messages_are_refused_while_the_disk_lags():
     stream = started()
     assert stream.poll_timeout() is None
     say(stream, 100)
@@ -73,9 +73,6 @@ def test_a_chunk_ends_by_time():
     assert stream.poll_transmit(99 + CHUNK_NS) is None
     assert stream.poll_transmit(100 + CHUNK_NS) is not None
     assert stream.poll_timeout() is None
-
-
-def test_a_chunk_is_no_larger_than_permitted_unless_one_message_is():
     stream = McapStream(library=LIBRARY)
     stream.handle_channel(*channel(0))
     for length in (CHUNK_OCTETS // 2, CHUNK_OCTETS // 2 + 1, CHUNK_OCTETS + 9, 5, 6):
@@ -87,9 +84,6 @@ def test_a_chunk_is_no_larger_than_permitted_unless_one_message_is():
     assert max(chunks) < CHUNK_OCTETS + 2000
     assert len([size for size in chunks if size > CHUNK_OCTETS]) == 1
     assert len(chunks) >= 3
-
-
-def test_messages_are_refused_while_the_disk_does_not_keep_up():
     stream = McapStream(library=LIBRARY, most_waiting_octets=100)
     stream.handle_channel(*channel(0))
     assert say(stream, 0)

@@ -51,7 +51,7 @@ def test_any_haptic_samples_come_back(samples):
         assert np.array_equal(back[name], samples[name], equal_nan=name not in ("time_ns", "flags"))
 
 
-def test_another_tool_reads_a_message_by_the_schema_in_the_file():
+def test_another_tool_reads_a_message_by_the_schema_and_a_packet_has_words():
     for schema in SCHEMAS:
         files = descriptor_pb2.FileDescriptorSet.FromString(descriptor_set(schema)).file
         pool = descriptor_pool.DescriptorPool()
@@ -64,6 +64,17 @@ def test_another_tool_reads_a_message_by_the_schema_in_the_file():
     assert message_factory.GetMessageClass(found) is not None
     names = tuple(row.name for row in HAPTIC_SAMPLES.fields)
     assert names[: len(SAMPLE.names)] == SAMPLE.names
+    telecommand = Telecommand(apid=0x133, count=5, service=8, subtype=1)
+    report = Telemetry(apid=0x133, count=5, service=3, subtype=25)
+    wall = WallMessage(1, Wall(0.5, 0.06, 1500.0))
+    for packet, words in (
+        (pack_packet(telecommand), "PUS 8,1: telecommand to application 0x133"),
+        (pack_packet(report), "PUS 3,25: report of application 0x133"),
+        (pack_wall(WallMessage(1, None), 0), "no wall"),
+        (pack_wall(wall, 0), "wall at 0.0600 m towards 28.6°, 1500 N/m"),
+        (b"\x08\x01", "unknown"),
+    ):
+        assert packet_words(packet) == words
 
 
 def test_rows_of_the_trace_become_samples_and_a_unit_has_facts():
@@ -84,17 +95,3 @@ def test_rows_of_the_trace_become_samples_and_a_unit_has_facts():
     assert (facts.capture_ns, facts.width_px, facts.height_px, facts.octets) == (9, 64, 48, 5)
     assert facts.key and facts.damaged and facts.shows_loss and facts.dated
     assert not (facts.refused or facts.added)
-
-
-def test_words_of_a_packet():
-    telecommand = Telecommand(apid=0x133, count=5, service=8, subtype=1)
-    report = Telemetry(apid=0x133, count=5, service=3, subtype=25)
-    wall = WallMessage(1, Wall(0.5, 0.06, 1500.0))
-    for packet, words in (
-        (pack_packet(telecommand), "PUS 8,1: telecommand to application 0x133"),
-        (pack_packet(report), "PUS 3,25: report of application 0x133"),
-        (pack_wall(WallMessage(1, None), 0), "no wall"),
-        (pack_wall(wall, 0), "wall at 0.0600 m towards 28.6°, 1500 N/m"),
-        (b"\x08\x01", "unknown"),
-    ):
-        assert packet_words(packet) == words

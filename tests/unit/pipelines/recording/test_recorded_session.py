@@ -79,7 +79,7 @@ def test_what_the_recorder_put_ahead_of_a_part_is_left_out(written):
     ]
 
 
-def test_cycles_without_a_sample_are_not_sent_and_gaps_are_counted(written):
+def test_cycles_without_a_sample_are_gaps_and_packets_are_also_read_by_older_names(written):
     told = list(written.told["/haptic/up/received"])
     as_sent = [replace(one, topic="/haptic/up/sent") for one in told if one.sequence != 7]
     session = session_of(part_of(as_sent))
@@ -87,10 +87,6 @@ def test_cycles_without_a_sample_are_not_sent_and_gaps_are_counted(written):
     assert session.missing == {"/haptic/up/sent": 1}
     with pytest.raises(ProtocolError, match="nothing that was sent is in it"):
         session_of(part_of(written.told["/events"]))
-
-
-def test_packets_are_those_of_the_stream_that_carried_them_also_by_older_names(written):
-    """In older recordings telecommand/sent held all that space sent, its telemetry, too."""
     (command,) = written.told["/telecommand/space/sent"]
     report = replace(command, topic="/telemetry/space/sent", log_ns=command.log_ns - 1000)
     old = "/telecommand/sent"

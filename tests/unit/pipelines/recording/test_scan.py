@@ -57,7 +57,7 @@ def test_a_file_cut_anywhere_lacks_at_most_its_last_second(script, share, garbag
     assert scan.figures.sound == (octets == written.octets and end)
 
 
-def test_a_cut_within_the_last_chunk_loses_this_chunk_alone():
+def test_a_cut_loses_its_chunk_alone_a_copy_is_whole_and_empty_channels_stay():
     written = write(SCRIPT, end=False)
     begin = written.pieces[-1].begin
     behind = begin + HEAD.unpack_from(written.octets, begin)[1] + HEAD.size
@@ -66,6 +66,18 @@ def test_a_cut_within_the_last_chunk_loses_this_chunk_alone():
         # Of the message indexes behind it, nothing is needed.
         assert len(found) == (6 if cut < behind else 8)
         assert cut >= behind or scan.figures.holes == ([(begin, cut)] if cut > begin else [])
+    _, told, (facts,) = scanned(write(SCRIPT).octets)
+    copied = other_program(told, facts=(facts.name, facts.metadata), use_chunking=False)
+    scan, found, _ = scanned(copied)
+    assert found == told
+    assert scan.ours and scan.figures.sound
+    scan, found, _ = scanned(b"".join(begun(channel_of(one), CHUNK_NS) for one in ("/1", "/2")))
+    assert [topic for topic, *_ in found] == ["/1"]
+    assert not scan.figures.sound
+    written = write([])
+    torn = written.octets[: written.pieces[-1].begin]
+    mended = b"".join(Recovery(memoryview(torn)).pieces())
+    assert len(make_reader(BytesIO(mended)).get_summary().channels) == 5
 
 
 def other_program(messages, *, library="other", facts=("notes", {"by": "me"}), **options) -> bytes:
@@ -97,21 +109,6 @@ def test_a_file_of_another_program_is_read_but_not_mended(chunks, compression):
     assert (scan.figures.sound, scan.ours, scan.header.library) == (True, False, "other")
     with pytest.raises(ProtocolError, match=r"written by other, not by kontur-av"):
         Recovery(memoryview(octets))
-
-
-def test_a_copy_is_whole_a_recording_behind_is_left_out_and_empty_channels_stay():
-    _, told, (facts,) = scanned(write(SCRIPT).octets)
-    copied = other_program(told, facts=(facts.name, facts.metadata), use_chunking=False)
-    scan, found, _ = scanned(copied)
-    assert found == told
-    assert scan.ours and scan.figures.sound
-    scan, found, _ = scanned(b"".join(begun(channel_of(one), CHUNK_NS) for one in ("/1", "/2")))
-    assert [topic for topic, *_ in found] == ["/1"]
-    assert not scan.figures.sound
-    written = write([])
-    torn = written.octets[: written.pieces[-1].begin]
-    mended = b"".join(Recovery(memoryview(torn)).pieces())
-    assert len(make_reader(BytesIO(mended)).get_summary().channels) == 5
 
 
 @given(steps, st.floats(0.1, 1))

@@ -23,7 +23,7 @@ def at(report, seconds, *, down=(), health=None):
     return health.problems(report, down, (100 + seconds) * NS_PER_S)
 
 
-def test_failures_are_problems_and_a_process_that_comes_back_in_time_is_none():
+def test_failures_are_problems_and_contact_is_missed_only_where_it_is_due():
     assert at(told(failures=["above its cap"]), 1) == ["above its cap"]
     health = SessionHealth(0.0)
     assert at(told(), 20, down=["robot"], health=health) == []
@@ -31,9 +31,6 @@ def test_failures_are_problems_and_a_process_that_comes_back_in_time_is_none():
     assert at(told(), 30, health=health) == []
     assert at(told(), 32, down=["robot"], health=health) == []
     assert at(told(), 44, down=["robot"], health=health) == ["robot does not come back"]
-
-
-def test_contact_is_missed_only_where_it_is_due():
     assert at(told("search", since_s=30), 38) == []
     (line,) = at(told("search", since_s=30), 45)
     assert line == "ground: no contact for 15 s, though it is due: no signal"

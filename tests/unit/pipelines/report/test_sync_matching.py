@@ -43,16 +43,13 @@ def test_each_contact_gets_its_own(gaps, delay, missing):
     assert len(used) == len(set(used))
 
 
-def test_the_usual_delay_decides_between_candidates():
+def test_the_usual_delay_decides_and_weak_distant_or_early_findings_are_ignored():
     contacts = [second * 2 * NS_PER_S for second in range(10)]
     found = [at(second * 2000 + 80, 1.0) for second in range(10)]
     # Stronger findings, at another time after each contact.
     found += [at(second * 2000 + 300 + 97 * second, 1.5) for second in range(10)]
     found.sort(key=lambda one: one.instant_ns)
     assert [one.instant_ns % (2 * NS_PER_S) for one in match(contacts, found)] == [80 * MS] * 10
-
-
-def test_a_weak_and_distant_finding_and_one_too_soon_are_ignored():
     contacts = [second * 2 * NS_PER_S for second in range(8)]
     found = [at(second * 2000 + 80, 10.0) for second in range(8) if second != 4]
     found += [at(4 * 2000 + 900, 3.0)]

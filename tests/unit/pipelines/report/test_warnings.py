@@ -30,7 +30,7 @@ def loop(*, cycles=1000, left_out=0, late_ns=0, scheduler="other"):
     )
 
 
-def test_a_loop_may_leave_out_one_cycle_in_a_hundred_and_be_late_by_half_its_period():
+def test_loops_restarts_open_paths_and_long_round_trips_are_warned_of():
     assert loop(cycles=990, left_out=10) == loop(late_ns=500_000) == loop(cycles=0) == []
     (warning,) = loop(cycles=880, left_out=120)
     assert (warning.what, warning.where) == ("cycles_left_out", "robot")
@@ -40,6 +40,29 @@ def test_a_loop_may_leave_out_one_cycle_in_a_hundred_and_be_late_by_half_its_per
     # Without real-time priority the mend is the permission.
     mends = [loop(left_out=50, scheduler=one)[0].mend for one in ("other", "fifo")]
     assert ["doctor" in mend for mend in mends] == [True, False]
+    warning = restart_warning("stereo", 1, "ended by SIGKILL")
+    assert warning.measured == "it was started again once: ended by SIGKILL"
+    assert restart_warning("stereo", 2, "").measured == "it was started again 2 times"
+    full = restart_warning("stereo", 1, f"ended by {NO_ROOM}")
+    assert "/dev/shm" in full.mend and "report an error" not in full.mend
+    setup = BUILT_IN["spacejustin"]
+    collector = Collector(topology_of(setup, segments=(Segment.GROUND,)))
+    path = OpenPath(setup.downlink, address=("192.0.2.1", 27000), now_ns=5)
+    collector.handle_message("ground_gateway", message(path.report(NS_PER_S)), NS_PER_S)
+    (warning,) = find_path_warnings(collector, Segment)
+    assert (warning.what, warning.where) == ("not_protected", "ground_gateway")
+
+    def warned(down_ms, up_ms, **changed):
+        collector = Collector(topology_of(replace(BUILT_IN["taskboard"], **changed)))
+        for way, late_ms in (("down", down_ms), ("up", up_ms)):
+            if late_ms is not None:
+                collector.haptics[way].latency.add(late_ms * 1_000_000)
+        return [warning.measured for warning in hand_warnings(collector)]
+
+    (measured,) = warned(252, 252)
+    assert "504 ms" in measured
+    assert warned(15, 15) == warned(252, None) == warned(252, 252, hand="auto") == []
+    assert warned(252, 252, partner_arm="shared") == []
 
 
 @pytest.mark.parametrize(
@@ -62,20 +85,6 @@ def test_few_pictures_are_a_warning(found, counts):
     assert [warning.what for warning in warnings] == found
 
 
-def test_a_restart_and_a_path_without_protection_are_warned_of():
-    warning = restart_warning("stereo", 1, "ended by SIGKILL")
-    assert warning.measured == "it was started again once: ended by SIGKILL"
-    assert restart_warning("stereo", 2, "").measured == "it was started again 2 times"
-    full = restart_warning("stereo", 1, f"ended by {NO_ROOM}")
-    assert "/dev/shm" in full.mend and "report an error" not in full.mend
-    setup = BUILT_IN["spacejustin"]
-    collector = Collector(topology_of(setup, segments=(Segment.GROUND,)))
-    path = OpenPath(setup.downlink, address=("192.0.2.1", 27000), now_ns=5)
-    collector.handle_message("ground_gateway", message(path.report(NS_PER_S)), NS_PER_S)
-    (warning,) = find_path_warnings(collector, Segment)
-    assert (warning.what, warning.where) == ("not_protected", "ground_gateway")
-
-
 @pytest.mark.parametrize(
     ("channel", "mended"),
     [
@@ -91,20 +100,6 @@ def test_what_a_recording_lacks_is_blamed_on_what_was_too_slow(channel, mended):
     (warning,) = recorder_warnings(collector)
     found = [word for word in ("disk", "processors") if word in warning.mend]
     assert found == mended and warning.measured.startswith(f"{channel.lost} messages")
-
-
-def test_after_a_long_round_trip_another_hand_is_named():
-    def warned(down_ms, up_ms, **changed):
-        collector = Collector(topology_of(replace(BUILT_IN["taskboard"], **changed)))
-        for way, late_ms in (("down", down_ms), ("up", up_ms)):
-            if late_ms is not None:
-                collector.haptics[way].latency.add(late_ms * 1_000_000)
-        return [warning.measured for warning in hand_warnings(collector)]
-
-    (measured,) = warned(252, 252)
-    assert "504 ms" in measured
-    assert warned(15, 15) == warned(252, None) == warned(252, 252, hand="auto") == []
-    assert warned(252, 252, partner_arm="shared") == []
 
 
 @pytest.mark.parametrize(

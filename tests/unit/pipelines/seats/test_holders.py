@@ -104,7 +104,7 @@ def test_the_handle_is_handed_over_by_its_holder_or_free_when_that_is_gone():
     assert not ownership.may_move(VIEWER)
 
 
-def test_replayed_and_impossible_inputs_are_refused():
+def test_replayed_and_impossible_inputs_are_refused_and_too_much_closes_the_socket():
     ownership = joined(1)
     ownership.handle_take(1)
     gate, last = HandGate(ownership), 2**32 - 1
@@ -117,6 +117,16 @@ def test_replayed_and_impossible_inputs_are_refused():
     ):
         passed = gate.handle_input(1, PageInput(True, x, y, 0, sequence))
         assert (passed is not None) is passes
+    inputs = opened(Role.OPERATOR)
+    ask(inputs, 0, "iss_camera")
+    with pytest.raises(ProtocolError):
+        for _ in range(200):
+            inputs.handle_message(0, picture(0.0), NS_PER_S)
+    for text in ("{", '{"request": 1, "do": "session", "action": "stop"}'):
+        with pytest.raises(ProtocolError):
+            inputs.handle_text(0, text, 0)
+    with pytest.raises(ProtocolError, match="unknown type"):
+        inputs.handle_message(0, bytes(24), 0)
 
 
 PLAN = seat_plan(
@@ -188,16 +198,3 @@ def test_what_is_given_is_dated_by_the_ping_that_took_least_time():
     assert capture_ms(-1e9, 1400) == 900
     given = inputs.handle_message(0, sound(390.0, 5), 1400 * NS_PER_MS)
     assert (given.input, given.stamp.sequence, len(given.data)) == (MICROPHONE, 5, 1920)
-
-
-def test_too_much_or_garbage_closes_the_socket():
-    inputs = opened(Role.OPERATOR)
-    ask(inputs, 0, "iss_camera")
-    with pytest.raises(ProtocolError):
-        for _ in range(200):
-            inputs.handle_message(0, picture(0.0), NS_PER_S)
-    for text in ("{", '{"request": 1, "do": "session", "action": "stop"}'):
-        with pytest.raises(ProtocolError):
-            inputs.handle_text(0, text, 0)
-    with pytest.raises(ProtocolError, match="unknown type"):
-        inputs.handle_message(0, bytes(24), 0)

@@ -11,12 +11,19 @@ from pipelines.session import machine_checks
 from pipelines.session.topology import LOOP_PRIORITY
 
 
-def test_another_system_and_too_little_shared_memory_are_missing_with_their_mend(monkeypatch):
+def test_another_system_is_missing_with_its_mend_and_the_timer_check_gives_the_lateness(
+    monkeypatch,
+):
     verdict = machine_checks.check_shared_memory(lambda: 10_000_000)
     assert verdict.state == "missing" and "--shm-size" in verdict.mend
     monkeypatch.setattr(platform, "system", lambda: "Windows")
     verdict = machine_checks.check_python()
     assert verdict.state == "missing" and "Linux" in verdict.mend
+    good = machine_checks.check_timer(LateClock(70_000))
+    assert good.state == "ok" and "70 µs (p50), 70 µs (p99), 0 slips" in good.found
+    bad = machine_checks.check_timer(LateClock(2_300_000))
+    assert bad.state == "advice" and "2300 µs" in bad.found
+    assert machine_checks._RT_PRIORITY == LOOP_PRIORITY
 
 
 @pytest.mark.parametrize(
@@ -52,11 +59,3 @@ class LateClock(ManualClock):
 
     def sleep_until_ns(self, deadline_ns):
         super().sleep_until_ns(deadline_ns + self.late_ns)
-
-
-def test_the_timer_check_gives_the_lateness_at_the_priority_of_the_loops():
-    good = machine_checks.check_timer(LateClock(70_000))
-    assert good.state == "ok" and "70 µs (p50), 70 µs (p99), 0 slips" in good.found
-    bad = machine_checks.check_timer(LateClock(2_300_000))
-    assert bad.state == "advice" and "2300 µs" in bad.found
-    assert machine_checks._RT_PRIORITY == LOOP_PRIORITY

@@ -26,7 +26,7 @@ def root(monkeypatch, tmp_path):
     return tmp_path
 
 
-def test_an_address_has_a_host_or_only_a_port():
+def test_an_address_has_a_host_or_a_port_and_without_pages_nothing_is_said(capsys, root):
     assert parse_page(None)[1] == parse_page("8270")[1] == 8270
     assert parse_page(None)[0].is_loopback
     host, port = parse_page("[::1]:9000")
@@ -34,6 +34,9 @@ def test_an_address_has_a_host_or_only_a_port():
     for wrong in ("", ":8270", "1.2.3.4:", "127.0.0.1:0", "8270:127.0.0.1", "-1", "[::1]:99999"):
         with pytest.raises(ConfigError, match="--page"):
             parse_page(wrong)
+    with announced("--no-page") as pages:
+        assert not pages
+    assert capsys.readouterr().out == "" and list(root.iterdir()) == []
 
 
 def test_one_address_is_printed_and_all_are_kept_for_the_user_alone(capsys, root):
@@ -69,12 +72,6 @@ def test_beyond_loopback_a_certificate_is_made_and_without_a_browser_there_is_on
         pass
     (line,) = capsys.readouterr().err.splitlines()
     assert "no browser" in line
-
-
-def test_without_pages_nothing_is_bound_or_said(capsys, root):
-    with announced("--no-page") as pages:
-        assert not pages
-    assert capsys.readouterr().out == "" and list(root.iterdir()) == []
 
 
 @pytest.mark.rule("10")

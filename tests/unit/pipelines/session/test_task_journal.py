@@ -28,7 +28,7 @@ def told_of(journal):
     return TaskFigures(runs={row.run: row for row in journal.newest(KEPT)})
 
 
-def test_a_row_has_the_step_after_its_end_and_those_that_a_killed_process_told():
+def test_a_row_has_every_step_and_what_is_told_and_kept_does_not_grow():
     journal = TaskJournal()
     begin(journal, 1)
     assert [row.result for row in journal.report()] == [OPEN]
@@ -42,9 +42,6 @@ def test_a_row_has_the_step_after_its_end_and_those_that_a_killed_process_told()
     end(after, 1, TaskResult.ABORTED)
     (row,) = plus(told_of(before), told_of(after)).runs.values()
     assert row.result == "aborted" and len(row.steps) == len(RunStep) - 1
-
-
-def test_what_is_told_and_kept_does_not_grow_and_the_collector_has_all():
     journal, told, sizes = TaskJournal(), TaskFigures(runs={}), []
     for run in range(1, 200):
         begin(journal, run)

@@ -43,7 +43,7 @@ def session(request) -> Topology:
     return topology_of(setup, snapshots=True, pages=True, tasks=tasks)
 
 
-def test_names_and_ports_are_unique_and_every_function_takes_its_arguments(session):
+def test_names_ports_functions_streams_and_topics_of_a_session_agree(session):
     for rows in (session.processes, session.streams, session.topics, session.inputs):
         assert max(Counter(row.name for row in rows).values()) == 1
     ports = [port for row in session.processes for port in session.ports_of(row.name)]
@@ -53,18 +53,17 @@ def test_names_and_ports_are_unique_and_every_function_takes_its_arguments(sessi
     assert set(ports) <= set(range(base, base + PORTS))
     for row in session.processes:
         inspect.signature(resolve_name(row.run)).bind(None, **row.arguments)
-
-
-def test_every_topic_that_is_read_has_a_writer_in_some_session():
-    sessions = [
-        topology_of(setup, pages=True, recorder=True, trainer=True, tasks=True)
-        for setup in every_setup()
-    ]
-    written = {row.name for session in sessions for row in session.topics}
-    assert {name for one in sessions for row in one.processes for name in row.reads} <= written
-
-
-def test_a_topic_has_the_readers_that_read_it_and_only_the_world_those_in_both_segments(session):
+    for row in session.streams:
+        gateway = session.gateway(row.direction.sender)
+        assert row.entry_port in session.ports_of(gateway.name)
+        if row.kind is Kind.MAINTENANCE:
+            assert row.sender is None and row.receiver is None
+            continue
+        sender, receiver = session.process(row.sender), session.process(row.receiver)
+        assert sender.segment is row.direction.sender and row.name in session.sends(sender.name)
+        assert receiver.segment is row.direction.receiver
+        assert row.name in session.receives(receiver.name)
+        assert row.exit_port in session.ports_of(receiver.name)
     crossing = set()
     for topic in session.topics:
         writer = session.process(topic.writer)
@@ -80,18 +79,24 @@ def test_a_topic_has_the_readers_that_read_it_and_only_the_world_those_in_both_s
         assert all(session.topic(name).name == name for name in session.reads(row.name))
 
 
-def test_every_stream_runs_from_a_sender_to_a_receiver_in_the_other_segment(session):
-    for row in session.streams:
-        gateway = session.gateway(row.direction.sender)
-        assert row.entry_port in session.ports_of(gateway.name)
-        if row.kind is Kind.MAINTENANCE:
-            assert row.sender is None and row.receiver is None
-            continue
-        sender, receiver = session.process(row.sender), session.process(row.receiver)
-        assert sender.segment is row.direction.sender and row.name in session.sends(sender.name)
-        assert receiver.segment is row.direction.receiver
-        assert row.name in session.receives(receiver.name)
-        assert row.exit_port in session.ports_of(receiver.name)
+def test_every_topic_that_is_read_has_a_writer_and_the_recorder_reads_only_what_is_here():
+    sessions = [
+        topology_of(setup, pages=True, recorder=True, trainer=True, tasks=True)
+        for setup in every_setup()
+    ]
+    written = {row.name for session in sessions for row in session.topics}
+    assert {name for one in sessions for row in one.processes for name in row.reads} <= written
+
+    def topics_of(**options):
+        topology = topology_of(WHOLE, **options)
+        return topology, {source.topic for source in sources_of(topology, link_frames=True)}
+
+    for segment in Segment:
+        here, topics = topics_of(recorder=True, segments=(segment,))
+        assert topics
+        assert all(here.runs(here.topic(topic).writer) for topic in topics)
+    halves = [topics_of(segments=(segment,))[1] for segment in Segment]
+    assert topics_of(snapshots=True, pages=True)[1] == set.union(*halves)
 
 
 def test_a_media_stream_leads_to_its_other_rows_and_consumers_start_before_producers(session):
@@ -156,16 +161,3 @@ def test_one_end_holds_the_ports_and_processes_of_its_own_half(session, segment)
     assert (mine.alone, session.alone) == (segment, None)
     assert {mine.side_here(row) for row in mine.streams} == {"sender", "receiver"}
     assert {session.side_here(row) for row in session.streams} == {None}
-
-
-def test_the_recorder_and_the_snapshots_read_only_what_is_here():
-    def topics_of(**options):
-        topology = topology_of(WHOLE, **options)
-        return topology, {source.topic for source in sources_of(topology, link_frames=True)}
-
-    for segment in Segment:
-        here, topics = topics_of(recorder=True, segments=(segment,))
-        assert topics
-        assert all(here.runs(here.topic(topic).writer) for topic in topics)
-    halves = [topics_of(segments=(segment,))[1] for segment in Segment]
-    assert topics_of(snapshots=True, pages=True)[1] == set.union(*halves)

@@ -119,7 +119,7 @@ def test_who_lets_go_is_silent_or_busy_begins_the_trial_again_and_it_is_counted(
         assert person.desk.phase is StudyPhase.START, silence_ns
 
 
-def test_an_interrupted_study_goes_on_or_leaves_that_person_out():
+def test_an_interrupted_study_goes_on_and_a_stiff_handle_pushes_back():
     person = Person(finished={1: 3})
     assert person.desk.phase is StudyPhase.RETURN and person.shown.trial == 3
     person.begin()
@@ -129,9 +129,6 @@ def test_an_interrupted_study_goes_on_or_leaves_that_person_out():
     person.press(other=True)
     assert person.desk.phase is StudyPhase.CONSENT and "participant 2" in person.shown.words[1]
     assert Person(finished={1: 4, 2: 4}).desk.phase is StudyPhase.DONE
-
-
-def test_a_handle_that_is_stiff_and_heavy_pushes_back_with_what_it_says():
     levels = HandleLevels(stiffness_n_m=(40.0,), inertia_kg=(0.5, 0.0))
     aiming = (Aiming(name="still", targets=5, width_m=0.03),)
     plan = StudyPlan(name="x", consent="Yes.", participants=2, handle=levels, aiming=aiming)

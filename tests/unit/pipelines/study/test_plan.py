@@ -18,16 +18,13 @@ def plan_of(**changes):
     return StudyPlan(handle=handle, **(given | changes))
 
 
-def test_each_condition_stands_equally_often_at_each_place_and_behind_each_other():
+def test_each_condition_stands_equally_often_at_each_place_and_participants_meet_every_handle():
     for count in range(2, 17):
         square, twice = latin_square(count), count % 2 + 1
         places = Counter((place, one) for row in square for place, one in enumerate(row))
         assert set(places.values()) == {twice} and len(places) == count * count
         follow = Counter(pair for row in square for pair in pairwise(row))
         assert set(follow.values()) == {twice} and len(follow) == count * (count - 1)
-
-
-def test_the_participants_of_a_plan_meet_every_handle_in_balanced_orders():
     plan = plan_of(tracking=(Tracking(name="spot"),), participants=8, practice=1, trials=2)
     seen = Counter()
     for participant in range(1, 9):

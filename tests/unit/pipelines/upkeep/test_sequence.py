@@ -20,7 +20,7 @@ def sequence(text=SCRIPT):
     return MaintenanceSequence(text.splitlines(), {"tc", "task"})
 
 
-def test_a_step_is_a_command_a_wait_or_words():
+def test_a_step_is_a_command_a_wait_or_words_and_a_script_is_refused_as_a_whole():
     found, words = sequence(), []
     while (step := found.next) is not None:
         words.append((step.line, step.words, step.seconds))
@@ -32,6 +32,16 @@ def test_a_step_is_a_command_a_wait_or_words():
         (7, ("say", "all", "is", "well"), None),
         (8, ("wait", "2.5"), 2.5),
     ]
+    for text, words in (
+        ("", "no command"),
+        ("tc robot ping\nstream", "line 2: stream is not a command"),
+        ("wait", "write wait contact"),
+        ("milestone", "what is reached"),
+        ("wait 1e9", "up to a day"),
+        ("tc 'robot", "No closing quotation"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            sequence(text)
 
 
 def test_what_failed_is_next_again_and_may_be_changed_to_a_command_or_skipped():
@@ -50,16 +60,3 @@ def test_what_failed_is_next_again_and_may_be_changed_to_a_command_or_skipped():
         with pytest.raises(ConfigError, match="line 3"):
             found.change(text)
         assert found.next == before
-
-
-def test_a_script_is_refused_as_a_whole():
-    for text, words in (
-        ("", "no command"),
-        ("tc robot ping\nstream", "line 2: stream is not a command"),
-        ("wait", "write wait contact"),
-        ("milestone", "what is reached"),
-        ("wait 1e9", "up to a day"),
-        ("tc 'robot", "No closing quotation"),
-    ):
-        with pytest.raises(ConfigError, match=words):
-            sequence(text)

@@ -72,7 +72,7 @@ def pus_octets_per_s(end):
     return total
 
 
-def test_reports_and_telemetry_of_a_session_fit_the_reserve():
+def test_reports_fit_the_reserve_and_a_radio_is_a_profile_or_a_cable_with_a_delay(tmp_path):
     rtp = make_sender(cname=Segment.GROUND.cname)
     rtp.audio_packets(b"\x08", CaptureStamp(0, 0, "test"))
     reports = 2 * (arithmetic.TAG_OCTETS + len(rtp.poll_report(0))) * 1e9 / REPORT_INTERVAL_NS
@@ -85,6 +85,16 @@ def test_reports_and_telemetry_of_a_session_fit_the_reserve():
     command = MAX_PACKET_OCTETS - MAX_COMMAND_OCTETS + 1 + select.octets
     down = reports + (arithmetic.TAG_OCTETS + arithmetic.RESUME_OCTETS + command) / 10
     assert 0 <= arithmetic.RESERVE_DOWN_BPS / 8 - down - pus_octets_per_s("space") <= 5
+    file = tmp_path / "storm.toml"
+    file.write_text("delay_ms = 40\nframe_loss = 0.1\n")
+    assert own_setup().radio_profile.longest_delay_ns == 0
+    assert own_setup(radio=load_radio(str(file))).radio_profile.frame_loss == 0.1
+    assert own_setup(radio_delay_ms=12.5).radio_profile.longest_delay_ns == 12_500_000
+    # A direction has its own radio from the same seed.
+    setup = own_setup(radio="geo")
+    for profile, direction in ((setup.uplink, "uplink"), (setup.downlink, "downlink")):
+        report = setup.radio_path(profile, seed=3, epoch_ns=5).report()
+        assert report.channel.direction == direction
 
 
 def own_setup(**changes):
@@ -111,16 +121,3 @@ def test_a_setup_cannot_be_changed_or_misused(changes, says):
         own_setup(**changes)
     with pytest.raises(AttributeError):
         own_setup().base_port = 1
-
-
-def test_a_radio_is_a_profile_or_a_cable_with_a_delay(tmp_path):
-    file = tmp_path / "storm.toml"
-    file.write_text("delay_ms = 40\nframe_loss = 0.1\n")
-    assert own_setup().radio_profile.longest_delay_ns == 0
-    assert own_setup(radio=load_radio(str(file))).radio_profile.frame_loss == 0.1
-    assert own_setup(radio_delay_ms=12.5).radio_profile.longest_delay_ns == 12_500_000
-    # A direction has its own radio from the same seed.
-    setup = own_setup(radio="geo")
-    for profile, direction in ((setup.uplink, "uplink"), (setup.downlink, "downlink")):
-        report = setup.radio_path(profile, seed=3, epoch_ns=5).report()
-        assert report.channel.direction == direction

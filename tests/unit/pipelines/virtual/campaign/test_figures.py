@@ -79,7 +79,7 @@ def of(*runs, seconds=100.0, signal_s=100.0):
     return partial_report(report(seconds, windows, contact, tasks=list(runs)))
 
 
-def test_a_pass_is_usable_if_a_task_is_finished_in_the_order_of_the_steps():
+def test_a_task_counts_if_it_is_finished_in_the_order_of_the_steps():
     early = run(result="lost_signal", seconds=None, steps=(*STEPS[:4], STEPS[8]))
     assert task_faults(of(run(), early)) == []
     # The last step may miss the contact.
@@ -94,9 +94,6 @@ def test_a_pass_is_usable_if_a_task_is_finished_in_the_order_of_the_steps():
         (*STEPS[:5], *STEPS[6:]),
     ):
         assert task_faults(of(run(steps=steps))) == ["out of order"]
-
-
-def test_the_panel_may_learn_of_a_lost_run_after_its_end_but_in_order():
     told, shown, ended, last = STEPS[:3], STEPS[3], STEPS[9:11], STEPS[11]
     at_start = STEPS[4]
     for steps in ((*told, *ended, shown, last), (*told, shown, *ended, at_start)):
@@ -109,9 +106,6 @@ def test_the_panel_may_learn_of_a_lost_run_after_its_end_but_in_order():
     ):
         wrong = run(result="lost_signal", seconds=None, steps=steps)
         assert task_faults(of(run(), wrong)) == ["out of order"]
-
-
-def test_a_run_that_is_open_long_after_the_signal_was_lost_hangs_and_a_task_has_a_median():
     open_one = run(result="open", seconds=None, steps=STEPS[:3])
     assert "left hanging" in task_faults(of(run(), open_one, signal_s=60.0))
     assert "left hanging" not in task_faults(of(run(), open_one, signal_s=80.0))
@@ -178,7 +172,7 @@ def test_each_fault_has_its_word(change, word):
     assert word in named[0]
 
 
-def test_a_pause_counts_only_while_there_is_a_signal_in_the_usable_window():
+def test_a_pause_counts_only_with_a_signal_and_an_empty_stream_has_no_latencies():
     found = report(windows=((20, 50), (50.5, None)), contact=CONTACT)
     # Of these 12, 5 and 3 s no more than 2.9 at a time were with a signal from second 30 on.
     found["streams"]["uplink_video"] = video(pauses_s=[[20, 32.9], [47.5, 52.5], [97.1, 100.0]])
@@ -189,9 +183,6 @@ def test_a_pause_counts_only_while_there_is_a_signal_in_the_usable_window():
     assert pass_figures(partial_report(found)).longest_pause_s["shown"] == 2.9
     found["streams"]["uplink_video"]["pauses_s"] = [[95.1, 100.0]]
     assert pass_figures(partial_report(found)).longest_pause_s["shown"] == 3.9
-
-
-def test_an_empty_stream_has_no_latencies():
     silent = report(windows=((20, None),), contact=CONTACT)
     none = dict.fromkeys(("p50", "p99", "p99.9", "max"), 0.0) | {"count": 0}
     silent["haptic"]["up"]["latency_ms"] = none
