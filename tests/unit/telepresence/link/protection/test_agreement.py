@@ -3,14 +3,14 @@
 from telepresence.link.protection.agreement import Agreement
 from telepresence.link.protection.identity import MachineKey
 
-CLIENT, SERVER = sorted(
-    (MachineKey.from_seed(bytes([n]) * 32) for n in (1, 2)), key=lambda key: key.identity.digest
+CLIENT, SERVER, OTHER = sorted(
+    (MachineKey.from_seed(bytes([n]) * 32) for n in (1, 2, 3)), key=lambda key: key.identity.digest
 )
 
 
-def begin():
+def begin(expected=SERVER):
     """Both ends' runs, and the server's flight."""
-    client, server = Agreement(CLIENT, SERVER.identity), Agreement(SERVER, CLIENT.identity)
+    client, server = Agreement(CLIENT, expected.identity), Agreement(SERVER, CLIENT.identity)
     ends = client.begin(), server.begin()
     ends[1].add(ends[0].step())
     return *ends, ends[1].step()
@@ -64,3 +64,10 @@ def test_half_a_record_waits_for_its_rest_and_no_record_at_all_is_refused():
     read(client)
     assert client.failed
     assert not client.waits
+
+
+def test_a_peer_with_another_key_is_refused():
+    client, _, flight = begin(expected=OTHER)
+    client.add(flight)
+    read(client)
+    assert client.failed and not client.complete
