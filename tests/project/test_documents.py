@@ -10,7 +10,7 @@ PAGES = sorted(DOCS.glob("*.md"))
 MOST_STEPS = 15
 
 
-def test_the_python_of_the_readme_is_that_of_the_sample():
+def test_the_python_of_the_readme_is_that_of_the_sample_and_the_index_leads_to_every_page():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```", readme, re.M | re.S)
     lines = [line.strip() for block in blocks for line in block.splitlines() if line]
@@ -20,9 +20,6 @@ def test_the_python_of_the_readme_is_that_of_the_sample():
     called = re.findall(r"(?:\bav|\bsession|\bend|\bone)\.(\w+)|(\w+)\(", "\n".join(lines))
     names = {first or second for first, second in called} - {"show", "print"}
     assert {name for name in names if not any(name in text for text in texts)} == set()
-
-
-def test_the_index_leads_to_every_page():
     for index, pages in ((DOCS / "index.md", PAGES), *_experiments()):
         linked = set(re.findall(r"\]\(([\w-]+\.md)", index.read_text(encoding="utf-8")))
         assert {page.name for page in pages} - linked - {"index.md"} == set()

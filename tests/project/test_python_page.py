@@ -19,15 +19,12 @@ def generate():
     return module
 
 
-def test_the_page_is_up_to_date():
+def test_the_pages_and_tables_of_the_documents_are_up_to_date():
     page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     assert page == generate().python_page(), "run: python docs/generate.py"
     page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     headings = {generate().anchor(name) for name in re.findall(r"^#+ (.*)$", page, re.MULTILINE)}
     assert set(re.findall(r"\]\(#([\w-]+)\)", page)) <= headings
-
-
-def test_the_tables_of_the_documents_are_those_of_the_topology():
     blocks = generate().topology_blocks()
     found = set()
     for page in (ROOT / "docs").glob("*.md"):

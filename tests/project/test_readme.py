@@ -73,7 +73,7 @@ def test_every_link_leads_to_a_file(document):
     assert not missing
 
 
-def test_every_sample_and_command_is_listed_and_the_test_command_installs_and_tests():
+def test_every_sample_and_command_is_listed_and_the_annotated_setup_has_every_field():
     samples = {path.name for path in (ROOT / "samples").glob("*.py")}
     assert set(re.findall(r"\]\(samples/(\w+\.py)\)", README)) == samples
     table = README[README.index("## Commands") : README.index("docs/commands.md")]
@@ -85,9 +85,6 @@ def test_every_sample_and_command_is_listed_and_the_test_command_installs_and_te
     assert command.strip() == installed
     ci = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert "<!-- command: test -->" in ci
-
-
-def test_the_annotated_setup_is_valid_and_has_every_field():
     (text,) = blocks((ROOT / "docs" / "setups.md").read_text(encoding="utf-8"), "toml")
     table = tomllib.loads(text)
     assert {field.name for field in fields(Setup)} == set(table)

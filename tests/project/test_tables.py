@@ -11,7 +11,7 @@ def test_a_table_is_current(path):
     assert path.read_text(encoding="utf-8") == tables.TABLES[path](), "python tests/tables.py"
 
 
-def test_each_rule_command_and_option_has_a_test_and_each_marker_a_rule():
+def test_each_rule_command_and_option_has_a_test():
     assert set(tables.rules()) == set(tables.tests_of_rules())
     assert [command for command, files in tables.tests_of_commands().items() if not files] == []
     assert [option for option, (_, files) in tables.tests_of_options().items() if not files] == []

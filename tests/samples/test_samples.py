@@ -136,7 +136,7 @@ def test_plot_pass(tmp_path):
     assert "iss.tle" in done.stderr
 
 
-def test_slots_virtual_time():
+def test_slots_virtual_time_and_mediated_wall(tmp_path):
     lines = run("slots_virtual_time.py", 3).stdout.splitlines()
     assert lines[0] == "haptic samples received: 3000 in 3000 slots"
     rows = {line.split()[0]: line.split() for line in lines[2:6]}
@@ -144,9 +144,6 @@ def test_slots_virtual_time():
     assert float(rows["telecommands"][3]) <= 3
     assert float(rows["voice"][3]) <= 4
     assert float(rows["video"][2]) > 29
-
-
-def test_mediated_wall(tmp_path):
     picture = tmp_path / "felt.png"
     done = run("mediated_wall.py", "--delays", 300, "--picture", picture)
     rows = [line.split() for line in done.stdout.splitlines()[1:]]

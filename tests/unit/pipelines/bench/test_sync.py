@@ -107,7 +107,9 @@ def test_the_known_skews_are_found(clips, tmp_path, capsys):
     assert plot.stat().st_size > 1000
 
 
-def test_an_offset_moves_one_recording_and_what_lacks_is_not_compared(clips, tmp_path):
+def test_an_offset_moves_one_recording_and_lights_outside_the_region_are_ignored(
+    clips, tmp_path, capsys
+):
     words = ["--audio", clips / "hear.wav", "--haptics", clips / "felt.csv"]
     skews = bench(tmp_path / "r.json", *words, "--offset-ms", "audio=-20")["skew_ms"]
     assert skews["audio_haptic"]["p50"] == pytest.approx(0, abs=2)
@@ -117,9 +119,6 @@ def test_an_offset_moves_one_recording_and_what_lacks_is_not_compared(clips, tmp
     assert skew["events"] == len(TOUCHES)
     early_ms = 1000 * (CLICK_S - LIGHT_S)
     assert early_ms - PERIOD_MS - 1 <= skew["p50"] <= early_ms + 1
-
-
-def test_lights_outside_the_region_are_ignored(clips, capsys):
     arguments = ["--video", str(clips / "both.mp4"), "--haptics", str(clips / "felt.csv")]
     assert main(["bench", "sync", *arguments, "--roi", "180,40,48,48"]) == 0
     assert main(["bench", "sync", *arguments, "--roi", "0,160,48,48"]) == 2

@@ -58,7 +58,7 @@ def packets(path, kind):
         return [packet for packet in container.demux(stream) if packet.size]
 
 
-def test_there_is_a_film_of_each_camera_and_stream_with_its_sound_beside_its_picture(written):
+def test_there_is_a_film_of_each_stream_with_its_sound_and_a_player_shows_all_pictures(written):
     names = {path.name for path in film(written, ".").iterdir()}
     films = {f"{name}_{way}.mkv" for name in VIDEO for way in ("sent", "received")}
     assert names == films | {f"camera_{CAMERA}.mkv"}
@@ -71,6 +71,11 @@ def test_there_is_a_film_of_each_camera_and_stream_with_its_sound_beside_its_pic
         assert [bytes(packet) for packet in found] == spoken(8_000, SECONDS)
         heard_ms = [20 * number - early_ms for number in range(1, len(found))]
         assert [packet.pts for packet in found[1:]] == pytest.approx(heard_ms, abs=0.5)
+    with av.open(str(film(written, "downlink_video_sent.mkv"))) as container:
+        pictures = [frame.to_ndarray() for frame in container.decode(video=0)]
+    numbers = [marks.read_number(marks.levels(large(picture))) for picture in pictures]
+    assert numbers == list(range(len(written.units["downlink_video"])))
+    assert {picture.shape[1] for picture in pictures} == {320, 240}
 
 
 @pytest.mark.parametrize("name", [*VIDEO, CAMERA])
@@ -85,14 +90,6 @@ def test_access_units_are_the_same_at_their_instants_without_those_that_were_los
         received = packets(film(written, "uplink_video_received.mkv"), "video")
         del found[LOST_PICTURE]
         assert [*map(nal_units, received)] == [*map(nal_units, found)]
-
-
-def test_a_player_shows_all_pictures_also_where_their_size_changes(written):
-    with av.open(str(film(written, "downlink_video_sent.mkv"))) as container:
-        pictures = [frame.to_ndarray() for frame in container.decode(video=0)]
-    numbers = [marks.read_number(marks.levels(large(picture))) for picture in pictures]
-    assert numbers == list(range(len(written.units["downlink_video"])))
-    assert {picture.shape[1] for picture in pictures} == {320, 240}
 
 
 def large(picture):
