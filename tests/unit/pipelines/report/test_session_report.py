@@ -19,10 +19,11 @@ from pipelines.report.silence import never_met, signal_ns, silences
 from pipelines.report.summary import first_line
 from pipelines.session.figures import OutRow, ProbeFigures, ShownRow
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
+from pipelines.session.topology import Direction, Segment
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesReceived, SamplesSent
 from telepresence.link.figures import ContactFigures, ReceiverFigures
+from telepresence.link.gateway import Gateway
 
 SETUP = BUILT_IN["taskboard"]
 PARTS = ("uplink_video_send", "uplink_video_receive", "space_display", "robot", "joystick")
@@ -170,6 +171,24 @@ def test_every_count_of_a_process_is_reported():
     assert (entry.newest["jitter_ns"], entry.scheduler) == (7, "fifo")
     display = report_of(collector, 5.0).processes["space_display"]
     assert display.counts["uplink_video.frames_displayed"] == 30
+
+    # Those of a killed gateway are added, also of packets of which a part was sent.
+    flows, now_ns = collector.topology.flows, 5 * NS_PER_S
+    ways = {"transmit": SETUP.uplink, "transmit_flows": flows(Direction.UPLINK)}
+    ways |= {"receive": SETUP.downlink, "receive_flows": flows(Direction.DOWNLINK)}
+    for packets in (3, 4):
+        core = Gateway(**ways, master=True, life=packets, now_ns=now_ns)
+        for k in range(packets):
+            # RTP that gets no context, and after it none at all.
+            core.handle_datagram("uplink_video", bytes([0x80, 0x60, 0, k, *bytes(20)]), now_ns)
+        for _ in range(2):
+            core.handle_slot(now_ns)
+        collector.handle_message("ground_gateway", message(core.report(now_ns + NS_PER_S)), now_ns)
+        collector.process("ground_gateway").handle_end()
+    sender = report_of(collector).link["uplink"].sender
+    queue = sender.queue["video"]
+    assert queue.accepted == sum(queue.drops.values()) == 7
+    assert (queue.max_packets, sender.headers["uplink_video"]["packets"]) == (4, 2)
 
 
 def run_on(collector, *, shown_s, captured_s, seconds=8, camera="left"):

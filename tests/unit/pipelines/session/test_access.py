@@ -109,6 +109,19 @@ def test_a_refusal_names_who_may_and_everybody_but_viewers_writes_in_the_chat():
     assert f"connect-src 'self' ws://{HOST} wss://{HOST}" in policy
     assert "unsafe" not in policy
 
+    theirs = {
+        access.Role.COSMONAUT: ("panel.button", "hand"),
+        access.Role.EXPERIMENTER: ("tasks.select", "robot.reset_error", "robot.set_mode"),
+        access.Role.SUPERVISOR: ("joystick.halt", "session"),
+        access.Role.SYSTEMS: ("housekeeping", "fetch"),
+    }
+    for role, deeds in theirs.items():
+        segment = next(one for one, people in access.PEOPLE.items() if role in people)
+        for deed in deeds:
+            assert access.refusal(role, segment, deed) == ""
+            assert access.refusal(access.Role.OPERATOR, segment, deed) == ""
+            assert access.refusal(access.Role.VIEWER, segment, deed) == "a viewer may watch only"
+
 
 def test_idle_strangers_make_room_and_known_connections_stay():
     door = access.Doorway()
