@@ -1,13 +1,18 @@
 """Lights and clicks: detected exactly if present; no false detections."""
 
 import numpy as np
+import pytest
 from common import repeats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusDecoder, OpusEncoder, bitrate_under_cap
 from kontur_av.detect import ClickDetector, LightDetector, Roi
 from kontur_av.media import empty_picture, planes
+from telepresence.world import WorldState
+from telepresence.world.scenes import read_speech
+from telepresence.world.sound import Room
 
 RATE = 48_000
 
@@ -55,6 +60,35 @@ def test_noise_tones_and_silence_are_no_clicks():
     swelling = 8000 * np.minimum(t / 0.5, 1) * np.sin(2 * np.pi * 2500 * t)
     for sound in (np.zeros(2 * RATE), rng.normal(0, 3000, 2 * RATE), swelling):
         assert found_clicks(sound.astype(np.int16)[4800:]) == []
+
+
+@pytest.mark.parametrize(("cap_bps", "least", "most"), [(8000, 9, 0.0015), (64_000, 14, 0.0005)])
+def test_a_click_amid_a_voice_is_found_through_the_codec(cap_bps, least, most):
+    touches_ns = [round((1.0 + 0.73 * number) * NS_PER_S) for number in range(16)]
+
+    def state_at(now_ns):
+        past = [touch for touch in touches_ns if touch <= now_ns]
+        newest = past[-1] if past else None
+        return WorldState(now_ns, contact=bool(past), contact_since_ns=newest, touched_ns=newest)
+
+    room = Room(read_speech("ground"), fan=False, state_at=state_at, seed=21)
+    encoder, decoder = OpusEncoder(bitrate_bps=bitrate_under_cap(cap_bps)), OpusDecoder()
+    heard = []
+    for number in range(13 * 50):
+        block = np.zeros(960, np.int16)
+        room.fill(block, number, number * 20 * NS_PER_MS)
+        heard.append(decoder.decode(encoder.encode(block)))
+    found = found_clicks(np.concatenate(heard))
+    errors = []
+    for touch_ns in touches_ns:
+        due_s = touch_ns / 1e9 + LOOKAHEAD_SAMPLES / RATE
+        near = [click for click in found if abs(click[0] - due_s) < 0.010]
+        if near:
+            errors.append(max(near, key=lambda click: click[1])[0] - due_s)
+    # A loud vowel hides some.
+    assert len(errors) >= least
+    assert abs(np.median(errors)) < 0.0005
+    assert np.percentile(np.abs(errors), 80) < most
 
 
 def lights(pictures, **options):
