@@ -3,7 +3,9 @@
 import argparse
 import os
 import pwd
+import sys
 
+from kontur_av.clock import MonotonicClock
 from kontur_av.topics.session_files import choose_session, sessions
 from pipelines.commands.common import acting_on
 from pipelines.session.kept_files import KeptOrders
@@ -19,13 +21,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 if the stop holds, or is released; without a session a ConfigError."""
+    """0 if the robots have answered the stop, or it is released; without a session a ConfigError.
+
+    1 if a stop could not be kept, or a robot has not answered.
+    """
     running = sessions()
     if args.release:
         return _release(acting_on(args.session, running, moves=True))
     # A stop must not wait for a name.
     named = args.session is not None or not running
-    stopped, failed = [], None
+    stopped, failed, ordered_ns = [], None, MonotonicClock().now_ns()
     for session in [choose_session(args.session, running)] if named else running:
         try:
             KeptOrders(session).stop(f"a terminal of {_user()}")
@@ -35,9 +40,15 @@ def run(args: argparse.Namespace) -> int:
     for session in stopped:
         by = KeptOrders(session).stopped_by or "somebody"
         print(f"{session}: emergency stop by {by}; `kontur-av stop --release` ends it")
+    # Only now, because loading it takes a while.
+    from pipelines.hand.safety_ends import await_stopped
+
+    silent = [(one, words) for one in stopped if (words := await_stopped(one, ordered_ns))]
+    for session, words in silent:
+        print(f"{session}: {words}", file=sys.stderr)
     if failed is not None:
         raise failed
-    return 0
+    return 1 if silent else 0
 
 
 def _user() -> str:

@@ -17,7 +17,7 @@ from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotControllerModel
-from telepresence.haptics.sample import Feedback
+from telepresence.haptics.sample import Feedback, carries_stop
 from telepresence.haptics.session import JoystickSession, RobotSession
 from telepresence.haptics.step_detector import StepDetector
 from telepresence.world import WorldState
@@ -139,6 +139,8 @@ class RobotEnd(_End[RobotSide]):
         assert side.envelope is not None
         self.envelope = side.envelope
         self._ownership = side.ownership
+        #: Whether the newest datagram of a joystick had the emergency stop's bit.
+        self._stop_of = dict.fromkeys(Owner, False)
         self.board = board
         if board is not None:
             self.handle_datagram = self._handle_routed
@@ -154,14 +156,22 @@ class RobotEnd(_End[RobotSide]):
         self._state: WorldState | None = None
 
     def _handle_iss(self, data: bytes, now_ns: int) -> None:
-        assert self._ownership is not None
-        if self._ownership.takes(Owner.ISS):
-            self.side.handle_datagram(data, now_ns)
+        self._handle_of(Owner.ISS, data, now_ns)
 
     def handle_partner(self, data: bytes, now_ns: int) -> None:
         """A datagram of the partner's joystick arrived."""
-        if self._ownership is not None and self._ownership.takes(Owner.PARTNER):
+        if self._ownership is not None:
+            self._handle_of(Owner.PARTNER, data, now_ns)
+
+    def _handle_of(self, source: Owner, data: bytes, now_ns: int) -> None:
+        """Take a datagram of one of two joysticks. Whoever drives, either may stop the robot."""
+        assert self._ownership is not None
+        stop, before = carries_stop(data), self._stop_of[source]
+        self._stop_of[source] = stop
+        if self._ownership.takes(source):
             self.side.handle_datagram(data, now_ns)
+        elif stop and not before:
+            self.envelope.handle_stop(now_ns)
 
     def _handle_routed(self, data: bytes, now_ns: int) -> None:
         assert self.board is not None

@@ -7,19 +7,29 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.sources.stereo import HALF
 from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.staleness import FUTURE_NS
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.desks import RobotDesk
-from pipelines.hand.hand_topics import JoystickOrders, RobotOrders
+from pipelines.hand.hand_topics import JoystickOrders, RobotOrders, unpack_status
 from pipelines.hand.haptic_loop import Cycle
 from pipelines.hand.haptics import RobotEnd
 from pipelines.media.following import Choice
 from pipelines.session.kept_files import KeptOrders
+from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.setup.table import STEREO, Setup
-from pipelines.session.topology import HALVES_TOPIC, JOYSTICK, ROBOT, SELECTED_TOPIC, Topology
+from pipelines.session.topic_ends import MissionReader
+from pipelines.session.topology import (
+    HALVES_TOPIC,
+    JOYSTICK,
+    JOYSTICK_STATE_TOPIC,
+    ROBOT,
+    ROBOT_STATUS_TOPIC,
+    SELECTED_TOPIC,
+    Topology,
+)
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.envelope import Hold, SafetyLimits
 from telepresence.haptics.robot import RobotFacts
@@ -77,6 +87,39 @@ class CameraWatch:
         return now_ns - self._captured_ns > self._stale_ns
 
 
+#: A stop that is ordered anew lets the bit of the stop go for `_PULSE_NS`, so often at least, and
+#: until the robot says that it is stopped, but no longer than `_ASKS_NS`.
+_PULSE_NS, _EVERY_NS, _LEAST_NS, _ASKS_NS = (each * NS_PER_MS for each in (50, 200, 600, 10_000))
+
+
+class StopBit:
+    """Whether the joystick's samples carry the emergency stop.
+
+    A robot whose stop was released elsewhere follows no hand while the bit stays set, and takes
+    only a change of it for a new order. So a stop that is ordered anew is such a change.
+    """
+
+    def __init__(self) -> None:
+        self._ordered_ns = self._began_ns = 0
+        self._asks = False
+
+    def handle_order(self, ordered_ns: int | None, robot_stopped: bool, now_ns: int) -> bool:
+        """Return the bit. ordered_ns: names the newest order; None: no stop holds here.
+
+        robot_stopped: its newest sample says so.
+        """
+        if ordered_ns is None:
+            self._ordered_ns, self._asks = 0, False
+            return False
+        if ordered_ns != self._ordered_ns:
+            self._asks, self._began_ns = self._ordered_ns != 0, now_ns
+            self._ordered_ns = ordered_ns
+        lasts_ns = now_ns - self._began_ns
+        if lasts_ns >= _LEAST_NS and (robot_stopped or lasts_ns >= _ASKS_NS):
+            self._asks = False
+        return not (self._asks and lasts_ns % _EVERY_NS < _PULSE_NS)
+
+
 #: Of a robot that does not know what was ordered, and of such a joystick.
 UNKNOWN_ROBOT = RobotOrders(powered=False, mode=ControlMode.TELEPRESENCE.value)
 UNKNOWN_JOYSTICK = JoystickOrders(paused=True)
@@ -124,6 +167,37 @@ def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
     return follow
 
 
+#: How long the robot may take to answer a stop here, and across the radio.
+_HERE_NS, _ACROSS_NS = NS_PER_S, 4 * NS_PER_S
+_LOOK_NS = 10 * NS_PER_MS
+
+
+def await_stopped(session: str, ordered_ns: int) -> str:
+    """Wait until the robot answers a stop; return "", or that it does not, in words.
+
+    ordered_ns: when it was ordered, on this machine's monotonic clock.
+    """
+    clock = MonotonicClock()
+    with TopicBus(session) as bus:
+        robot = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
+        joystick = bus.reader(JOYSTICK_STATE_TOPIC)
+        while (waited_ns := clock.now_ns() - ordered_ns) < _ACROSS_NS:
+            status = robot.latest() or robot.newest
+            if status is not None and status.stopped and robot.newest_ns >= ordered_ns:
+                return ""
+            octets = joystick.latest_octets()
+            held = None if octets is None else unpack_status(octets)
+            if held is not None and held.robot_stopped:
+                return ""
+            if status is not None and waited_ns >= _HERE_NS:
+                # It is on this machine.
+                break
+            clock.sleep_until_ns(clock.now_ns() + _LOOK_NS)
+        since_ns = clock.now_ns() - (robot.newest_ns or ordered_ns)
+    seconds = f"{since_ns / NS_PER_S:.1f} s"
+    return f"the robot has not answered for {seconds}: look at it, and take its power there"
+
+
 def keep_robot(kept: KeptOrders, desk: RobotDesk) -> Cycle:
     """Return what keeps power and mode of the robot."""
     last = desk.orders
@@ -142,13 +216,15 @@ def keep_robot(kept: KeptOrders, desk: RobotDesk) -> Cycle:
 
 def keep_joystick(kept: KeptOrders, handle: OperatedHandle) -> Cycle:
     """Return what keeps a person's orders, and puts the emergency stop into every sample."""
-    operation = handle.operation
+    operation, bit = handle.operation, StopBit()
     last = JoystickOrders(paused=operation.paused, experiment=operation.experiment)
     kept.keep(JOYSTICK, last)
 
-    def keep(_now_ns: int) -> None:
+    def keep(now_ns: int) -> None:
         nonlocal last
-        handle.stop = kept.stopped
+        # Named by its instant; a stop of which nothing is known has the number 1.
+        ordered_ns = (kept.stopped_at_ns or 1) if kept.stopped else None
+        handle.stop = bit.handle_order(ordered_ns, handle.robot_stopped, now_ns)
         orders = JoystickOrders(paused=operation.paused, experiment=operation.experiment)
         if orders != last:
             last = orders

@@ -6,6 +6,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -355,10 +356,12 @@ class SeatDeeds:
                 case Order():
                     self._context.order(event, self._now_ns())
                 case StopAsked():
-                    if event.stop:
-                        self._orders.stop(event.by)
-                    else:
-                        self._orders.release()
+                    # One that cannot be kept is not shown as a stop.
+                    with suppress(OSError):
+                        if event.stop:
+                            self._orders.stop(event.by)
+                        else:
+                            self._orders.release()
                 case PageRequest():
                     self._serving.begin(self._ask(event))
                 case _:

@@ -2,7 +2,8 @@
 
 | file | written by | what |
 |---|---|---|
-| `stop` | any process that stops the robot | who ordered the stop; removing the file releases it |
+| `stop` | any process that stops the robot | who ordered the stop; none without it |
+| `stop.armed` | the launcher | renamed to `stop`, which needs no room on a disk |
 | `orders-robot`, `orders-joystick` | those processes | their newest orders, as JSON |
 | `now.json` | the session, once a second | `SessionNow` |
 | `notes` | `maintain` | a `Note` a line |
@@ -25,6 +26,14 @@ from telepresence.malformed import MALFORMED
 T = TypeVar("T", bound=msgspec.Struct)
 #: Of the words that say who stopped it.
 _MOST_CHARACTERS = 120
+_STOP, _ARMED = "stop", "stop.armed"
+
+
+def arm_stop(session: str) -> None:
+    """Have a file ready that only needs another name to be a stop."""
+    root = session_root(session)
+    if not (root / _STOP).exists():
+        (root / _ARMED).write_bytes(b" " * _MOST_CHARACTERS)
 
 
 class KeptOrders:
@@ -32,7 +41,7 @@ class KeptOrders:
 
     def __init__(self, session: str) -> None:
         self._root = session_root(session)
-        self._stop = self._root / "stop"
+        self._stop, self._armed = self._root / _STOP, self._root / _ARMED
         # As text, because loops look a hundred times a second, and a `Path` takes twice as long.
         # The second is there only if the first can be looked for.
         self._paths = os.fspath(self._stop), f"{self._root}/."
@@ -48,16 +57,33 @@ class KeptOrders:
     def stopped_by(self) -> str:
         """Who ordered it, in words; "" if nobody did, or that is not known."""
         try:
-            return self._stop.read_text("utf-8", errors="replace")[:_MOST_CHARACTERS]
+            return self._stop.read_text("utf-8", errors="replace")[:_MOST_CHARACTERS].strip()
         except OSError:
             return ""
 
+    @property
+    def stopped_at_ns(self) -> int:
+        """When it was ordered last, on the clock of files; 0 if that is not known."""
+        try:
+            return self._stop.stat().st_mtime_ns
+        except OSError:
+            return 0
+
     def stop(self, by: str) -> None:
-        """Order an emergency stop. The first of several is kept."""
+        """Order an emergency stop, also anew. Who ordered the first of several is kept."""
         if self.stopped:
+            with suppress(OSError):
+                os.utime(self._stop)
+            return
+        words = by.encode()[:_MOST_CHARACTERS]
+        with suppress(OSError):
+            self._armed.rename(self._stop)
+            # First it holds, then it says by whom: without room for that nobody is named.
+            with suppress(OSError), self._stop.open("r+b") as file:
+                file.write(words.ljust(_MOST_CHARACTERS))
             return
         try:
-            replace_file(self._stop, by[:_MOST_CHARACTERS].encode())
+            replace_file(self._stop, words)
         except OSError:
             # A full disk has no room for the words. The file begun for them can be renamed.
             with suppress(OSError):
@@ -66,7 +92,10 @@ class KeptOrders:
             self._stop.touch()
 
     def release(self) -> None:
-        self._stop.unlink(missing_ok=True)
+        try:
+            self._stop.rename(self._armed)
+        except OSError:
+            self._stop.unlink(missing_ok=True)
 
     def recall(self, name: str, first: T, unknown: T) -> T:
         """Return the orders of process `name`.

@@ -14,6 +14,7 @@ from itertools import count
 from pathlib import Path
 
 from kontur_av.topics.session_files import make_session_root, remove_session, session_root
+from pipelines.session.kept_files import arm_stop
 
 _LOCK = "launcher"
 
@@ -84,6 +85,9 @@ def _lock_new(session: str) -> int | None:
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(lock), path.stat()):
                     os.pwrite(lock, str(os.getsid(0)).encode(), 0)
+                    # Without room for it a stop is made when it is ordered.
+                    with suppress(OSError):
+                        arm_stop(session)
                     return lock
             os.close(lock)
 

@@ -287,6 +287,13 @@ def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
     return session, sequence, flags, _tuple(Feedback, value)
 
 
+def carries_stop(data: bytes) -> bool:
+    """Whether `data` is a command with the emergency stop, of whatever session."""
+    return len(data) >= SAMPLE_OCTETS and (
+        data[2] & (FLAG_FEEDBACK | FLAG_GREETING | FLAG_STOP) == FLAG_STOP
+    )
+
+
 def is_greeting(data: bytes) -> bool:
     """Whether `data` is to be read as a greeting, not as a sample."""
     return len(data) == SAMPLE_OCTETS and data[2] & FLAG_GREETING != 0

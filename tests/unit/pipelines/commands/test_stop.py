@@ -8,15 +8,23 @@ import pytest
 
 from pipelines.cli import main
 from pipelines.commands import common, stop
+from pipelines.hand import safety_ends
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.sessions import hold_session
 
 
 @pytest.fixture
-def held(tmp_path, monkeypatch):
+def silent():
+    """[why the robots do not answer; "" if they do]."""
+    return [""]
+
+
+@pytest.fixture
+def held(tmp_path, monkeypatch, silent):
     """held("lab", ...): the names of sessions that run, and were not started here."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(common, "started_here", lambda session: False)
+    monkeypatch.setattr(safety_ends, "await_stopped", lambda session, ordered_ns: silent[0])
     with ExitStack() as stack:
 
         def hold(*setups):
@@ -32,8 +40,12 @@ def stopped(*sessions):
     return [KeptOrders(one).stopped for one in sessions]
 
 
-def test_without_a_name_it_stops_all_and_its_release_asks(held, capsys):
+def test_without_a_name_it_stops_all_and_its_release_asks(held, silent, capsys):
     lab, pool = held("lab", "pool")
+    silent[0] = "the robot has not answered for 1.0 s"
+    assert main(["stop"]) == 1
+    assert f"{pool}: the robot has not answered for 1.0 s" in capsys.readouterr().err
+    silent[0] = ""
     assert main(["stop"]) == 0
     assert stopped(lab, pool) == [True, True]
     assert main(["stop", "--release"]) == 2

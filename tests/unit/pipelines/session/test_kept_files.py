@@ -1,6 +1,7 @@
 """Orders that outlive the processes that took them, and what a session and `maintain` tell."""
 
 import errno
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -50,6 +51,22 @@ def test_an_emergency_stop_holds_until_it_is_released_also_on_a_full_disk(
     assert not kept.stopped
 
 
+@pytest.mark.rule("S6")
+def test_a_stop_needs_no_room_where_its_file_was_made_ready(kept, monkeypatch):
+    kept_files.arm_stop(SESSION)
+    for what in ("write_bytes", "touch", "replace", "open"):
+        monkeypatch.setattr(Path, what, full)
+    kept.stop("a test")
+    assert (kept.stopped, kept.stopped_by) == (True, "")
+    kept.release()
+    monkeypatch.undo()
+    # Armed again by its release.
+    monkeypatch.setattr(session_files, "user_root", lambda: session_root(SESSION).parent)
+    kept.stop("a test")
+    kept.stop("another test")
+    assert kept.stopped_by == "a test"
+
+
 def test_orders_without_room_are_unknown_and_older_ones_do_not_come_back(kept, monkeypatch):
     first, unknown = Orders(on=True), Orders(on=False)
     kept.keep("robot", Orders(on=True))
@@ -80,7 +97,7 @@ def test_a_stop_that_cannot_be_kept_holds_the_robot_and_is_tried_again(kept, mon
     # Without its directory a session counts as stopped.
     kept.release()
     assert not kept.stopped
-    session_root(SESSION).rmdir()
+    shutil.rmtree(session_root(SESSION))
     assert kept.stopped
     session_root(SESSION).touch()
     assert kept.stopped
