@@ -4,6 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from kontur_av.clock import NS_PER_S
+from kontur_av.rtp.sender import RtpIdentity
+from pipelines.media.gain import LinkedVideoSender, gain_of
+from pipelines.media.stream_figures import video_sender
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.simulate import simulate
 
@@ -41,3 +45,21 @@ def test_freed_capacity_can_reduce_the_latency_instead():
     # Slots without a sample carry twice as much: a picture takes little more than half the time.
     assert sooner.latency_ms.p50 < plain.latency_ms.p50 - 8.0
     assert sooner.latency_ms.p99 < larger.latency_ms.p99 - 2.0
+
+
+def test_the_cap_follows_the_gain_at_once_and_stays_without_one():
+    setup = replace(BUILT_IN["spacejustin"], deadband="picture")
+    stream = setup.uplink_video
+    for gain in (gain_of(setup, stream), None):
+        sender = video_sender(setup, stream, RtpIdentity(1, 2, 3), wall_offset_ns=0)
+        linked, gained, channels = LinkedVideoSender(sender, gain), [], []
+        for tenth in range(41):
+            linked.handle_freed(80_000 if tenth < 40 else 0, tenth * NS_PER_S // 10)
+            gained.append(sender.cap_bps - stream.cap_bps)
+            channels.append(sender.channel_bps)
+        assert gained[0] == gained[-1] == 0 and channels[-1] <= channels[39]
+        if gain is None:
+            assert set(gained) == {0}
+        else:
+            assert 0.6 * 80_000 < gained[39] <= 80_000
+            assert channels[39] == channels[40] + 80_000
