@@ -5,6 +5,7 @@
 
 import os
 import select
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +27,10 @@ from telepresence.link.gateway import Backlog
 from telepresence.services.datagrams import is_service
 from telepresence.services.streams import ServiceStreams
 
-_PART = ".part"
+#: What is being written lies in a directory of this name, and nobody else's files do.
+_OWN, _PART = ".kontur-av-files", "part-"
+#: What a path can raise that is no fault of ours, such as a link that leads to itself.
+_ODD = (ConfigError, OSError, RuntimeError, ValueError)
 #: For the line that says how many are left out.
 _ROOM = 40
 
@@ -37,8 +41,9 @@ class FencedDirectory:
     def __init__(self, root: Path) -> None:
         self._root = root.resolve()
         # What a killed process had begun to write.
-        for part in self._root.rglob(f"{_PART}*"):
-            part.unlink(missing_ok=True)
+        with suppress(*_ODD):
+            for part in (self._root / _OWN).glob(f"{_PART}*"):
+                part.unlink(missing_ok=True)
 
     def do(self, job: DirectoryJob) -> tuple[str, bytes]:
         """Do a job of the entity; the octets are those of a file or of a listing."""
@@ -53,10 +58,8 @@ class FencedDirectory:
                 self._rename(job.first, job.second)
             elif job.kind == REMOVE:
                 self._file(job.first).unlink()
-        except ConfigError as error:
-            return str(error), b""
-        except OSError as error:
-            return (error.strerror or "not possible").lower(), b""
+        except _ODD as error:
+            return _words(error), b""
         return "", b""
 
     def read(self, name: str) -> tuple[str, bytes]:
@@ -66,10 +69,9 @@ class FencedDirectory:
             if path.stat().st_size > MAX_FILE_OCTETS:
                 return f"{name}: more than {MAX_FILE_OCTETS} octets; send it in parts", b""
             return "", path.read_bytes()
-        except ConfigError as error:
-            return str(error), b""
-        except OSError as error:
-            return f"{name}: {(error.strerror or 'not possible').lower()}", b""
+        except _ODD as error:
+            words = _words(error)
+            return (words if isinstance(error, ConfigError) else f"{name}: {words}"), b""
 
     def _path(self, name: str, *, directory: bool = False) -> Path:
         path = self._root.joinpath(*fenced(name, directory=directory))
@@ -87,7 +89,9 @@ class FencedDirectory:
     def _store(self, name: str, octets: bytes) -> None:
         path = self._path(name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f"{_PART}-{os.getpid()}")
+        own = self._root / _OWN
+        own.mkdir(mode=0o700, exist_ok=True)
+        part = own / f"{_PART}{os.getpid()}"
         try:
             with part.open("wb") as file:
                 file.write(octets)
@@ -97,6 +101,8 @@ class FencedDirectory:
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
+            with suppress(OSError):
+                own.rmdir()
 
     def _rename(self, first: str, second: str) -> None:
         source, path = self._file(first), self._path(second)
@@ -111,13 +117,29 @@ class FencedDirectory:
         for path in sorted(self._path(name, directory=True).iterdir()):
             if path.name.startswith("."):
                 continue
-            size = "" if path.is_dir() else str(path.stat().st_size)
-            line = f"{size:>10} {path.name}{'/' if path.is_dir() else ''}\n"
-            if len(listing) + len(line.encode(errors="replace")) > LARGEST_LISTING - _ROOM:
+            line = _line(path).encode(errors="replace")
+            if len(listing) + len(line) > LARGEST_LISTING - _ROOM:
                 more += 1
             else:
-                listing += line.encode(errors="replace")
+                listing += line
         return listing + (f"and {more} more\n".encode() if more else b"")
+
+
+def _line(path: Path) -> str:
+    """An entry of a listing. Of one that leads nowhere the size is not known."""
+    name = "".join(one if one.isprintable() else "?" for one in path.name)
+    try:
+        folder = path.is_dir()
+        size = "" if folder else str(path.stat().st_size)
+    except _ODD:
+        folder, size = False, "?"
+    return f"{size:>10} {name}{'/' if folder else ''}\n"
+
+
+def _words(error: Exception) -> str:
+    if isinstance(error, ConfigError):
+        return str(error)
+    return (getattr(error, "strerror", None) or "not possible").lower()
 
 
 #: How often the state of the link is looked at while something is to be sent.

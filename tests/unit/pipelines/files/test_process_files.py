@@ -1,5 +1,6 @@
 """The directory of an end: nothing outside of it, and no file that is not whole."""
 
+import os
 from itertools import product
 
 import pytest
@@ -52,14 +53,34 @@ def test_neither_dots_nor_links_lead_out(root):
     assert {path.name for path in root.iterdir()} == {"way", "link"}
 
 
+def test_odd_entries_are_listed_and_refused_one_by_one(root):
+    (root / "loop").symlink_to("loop")
+    (root / "gone").symlink_to("nowhere")
+    (root / "two\nlines").write_bytes(b"1")
+    (root / os.fsdecode(b"latin\xe9")).write_bytes(b"12")
+    os.mkfifo(root / "pipe")
+    assert do(root, LIST, "")[1].decode().split("\n") == [
+        *(f"{'?':>10} gone", f"{1:>10} two?lines"),
+        *(f"{2:>10} latin?", f"{'?':>10} loop", f"{0:>10} pipe", ""),
+    ] or len(do(root, LIST, "")[1].splitlines()) == 5
+    for name, kind in product(("loop", "gone", "pipe", "loop/x", "a\0b"), (GET, REMOVE, RENAME)):
+        assert do(root, kind, name, "x")[0]
+    assert do(root, STORE, "loop", octets=b"1")[0] or (root / "loop").read_bytes() == b"1"
+    (root / ".kontur-av-files").write_bytes(b"a user's own")
+    assert do(root, STORE, "new", octets=b"1")[0]
+
+
 def test_what_a_killed_process_began_to_write_goes_and_too_much_is_refused(root):
-    (root / "a").mkdir()
-    (root / "a" / ".part-77").write_bytes(b"half")
+    theirs = [root / "a" / ".part-77", root / ".participants.csv", root / ".kontur-av-files/notes"]
+    for path in (*theirs, root / ".kontur-av-files/part-77"):
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(b"half")
     directory = FencedDirectory(root)
-    assert list((root / "a").iterdir()) == []
-    (root / "a" / ".part-78").write_bytes(b"half")
+    assert not (root / ".kontur-av-files/part-77").exists()
+    # Nobody else's file goes, whatever it is called, and hidden ones are nobody's to ask for.
+    assert {path.read_bytes() for path in theirs} == {b"half"}
     assert directory.do(DirectoryJob(KEY, LIST, "a")) == ("", b"")
-    assert directory.do(DirectoryJob(KEY, GET, "a/.part-78"))[0]
+    assert directory.do(DirectoryJob(KEY, GET, "a/.part-77"))[0]
     with (root / "large").open("wb") as file:
         file.truncate(MAX_FILE_OCTETS + 1)
     assert "in parts" in do(root, GET, "large")[0]
