@@ -8,21 +8,8 @@ from mutated_octets import mutate
 
 from kontur_av.errors import ProtocolError
 from pipelines.hand.desks import RobotDesk
-from pipelines.session.mission_messages import (
-    MISSION_OCTETS,
-    CameraWish,
-    ExperimentShown,
-    LedsShown,
-    PanelShown,
-    RobotCommand,
-    RobotOrder,
-    RobotStatus,
-    RunShown,
-    StepShown,
-    TaskListed,
-    pack,
-    unpack,
-)
+from pipelines.session import mission_messages as messages
+from pipelines.session.mission_messages import LedsShown, RobotCommand, RobotOrder, pack, unpack
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.loop import robot_link
 from telepresence.tasks.definitions import ControlMode, Pattern
@@ -31,24 +18,24 @@ from telepresence.tasks.places import lights_of
 
 MS = 1_000_000
 PLACE = {"x_m": 0.0, "y_m": 0.1, "push_n": 2.0, "goal_m": (0.0, 0.1)}
-ROBOT = RobotStatus(
+ROBOT = messages.RobotStatus(
     life=1, powered=True, mode=ControlMode.POSITION, fault="fünf", commanded=3, **PLACE
 )
-PANEL = PanelShown(
+PANEL = messages.PanelShown(
     mode="hold", task="aiming", run=1, text="Aim.", words="", start_m=(0, 0), held_s=0.5
 )
-EXPERIMENT = ExperimentShown(
+EXPERIMENT = messages.ExperimentShown(
     phase="idle",
     task="",
     run=2,
     elemop="",
     panel="wait_task",
-    tasks=(TaskListed("aiming", "Aim."), TaskListed("line", "Trace.")),
-    steps=(StepShown(5, 1, "aiming", "selected"),),
-    runs=(RunShown("aiming", 1, "finished", "", 12.5),),
+    tasks=(messages.TaskListed("aiming", "Aim."), messages.TaskListed("line", "Trace.")),
+    steps=(messages.StepShown(5, 1, "aiming", "selected"),),
+    runs=(messages.RunShown("aiming", 1, "finished", "", 12.5),),
 )
 SEEDS = [
-    CameraWish(1, "stereo"),
+    messages.CameraWish(1, "stereo"),
     RobotOrder(1, "power", on=True),
     RobotOrder(2, "mode", mode=ControlMode.IMPEDANCE),
     RobotOrder(3, "move", x_m=0.02, y_m=-0.01),
@@ -102,6 +89,6 @@ def test_seeds_are_read_as_they_were_and_what_is_no_message_is_refused():
         packed = b"".join(map(msgspec.msgpack.encode, fields))
         # One field more, with lists in lists without end.
         deep = b"\xdc" + (len(fields) + 1).to_bytes(2, "big") + packed + b"\x91" * 12_000
-        long = bytes(MISSION_OCTETS + 1)
+        long = bytes(messages.MISSION_OCTETS + 1)
         for octets in (b"", b"\xc0", b"\x90", b"\x92\xff\xff", b"\xa1\xff", deep, long):
             assert read(type(seed), octets) is None
