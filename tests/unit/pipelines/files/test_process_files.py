@@ -59,14 +59,9 @@ def test_odd_entries_are_listed_and_refused_one_by_one(root):
     (root / "two\nlines").write_bytes(b"1")
     (root / os.fsdecode(b"latin\xe9")).write_bytes(b"12")
     os.mkfifo(root / "pipe")
-    assert (
-        do(root, LIST, "")[1].decode().split("\n")
-        == [
-            *(f"{'?':>10} gone", f"{1:>10} two?lines"),
-            *(f"{2:>10} latin?", f"{'?':>10} loop", f"{0:>10} pipe", ""),
-        ]
-        or len(do(root, LIST, "")[1].splitlines()) == 5
-    )
+    listed = {line.split(b" ")[-1]: line.split()[0] for line in do(root, LIST, "")[1].splitlines()}
+    sizes = {b"two?lines": b"1", b"latin?": b"2", b"pipe": b"0", b"loop": b"?", b"gone": b"?"}
+    assert listed == sizes
     for name, kind in product(("loop", "gone", "pipe", "loop/x", "a\0b"), (GET, REMOVE, RENAME)):
         assert do(root, kind, name, "x")[0]
     assert do(root, STORE, "loop", octets=b"1")[0] or (root / "loop").read_bytes() == b"1"
