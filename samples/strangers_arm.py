@@ -39,6 +39,8 @@ class Fetch:
         self.model.geom_contype[:] = self.model.geom_conaffinity[:] = 0
         # The hand is to be where the body is that leads it, and not beside it.
         self.model.eq_data[0, 3:10] = 0, 0, 0, 1, 0, 0, 0
+        # Damped, so that it rests soon after it was switched off.
+        self.model.eq_solref[0] = 0.02, 2.0
         self.data, self.step = mujoco.MjData(self.model), mujoco.mj_step
         for joint, place in (("slide0", 0.405), ("slide1", 0.48), ("slide2", 0.0)):
             self.data.joint(f"robot0:{joint}").qpos = place

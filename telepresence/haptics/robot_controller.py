@@ -16,8 +16,9 @@ from telepresence.haptics.sample import STATE_APPLICATION, Command
 #: A step that dissipates less counts as no step.
 _NO_COST_J = 1e-18
 #: A tip that catches up would overshoot the reference's greatest speed. From so far below that
-#: speed on, the force along the tip's motion is at most so much for each m/s that is left. So it
-#: begins at 25 N, without a step; a limit below 0.1 m/s is overshot by a quarter.
+#: speed on, the force along the tip's motion is at most so much for each m/s that is left, and
+#: beyond it brakes. So it begins at 25 N, without a step; a limit below 0.1 m/s is overshot by a
+#: quarter.
 _SLOWING_M_S, _SLOWING_N_S_M = 0.1, 250.0
 #: A hand rests while it is this near (m) to its smoothed position, with this time constant (s).
 _REST_M, _REST_S = 0.002, 0.1
@@ -211,7 +212,7 @@ class RobotController(PortController):
         if tip_m_s > speed - _SLOWING_M_S > 0.0:
             # The rest of the spring's force is lost as in a brake; the port pays for it.
             along = (fx * vx_m_s + fy * vy_m_s) / tip_m_s
-            over = along - max(0.0, _SLOWING_N_S_M * (speed - tip_m_s))
+            over = along - _SLOWING_N_S_M * (speed - tip_m_s)
             if over > 0.0:
                 fx -= over * vx_m_s / tip_m_s
                 fy -= over * vy_m_s / tip_m_s

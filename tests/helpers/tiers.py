@@ -67,7 +67,7 @@ _JOURNEYS = {
 }
 #: Modules of tests/realtime that mostly wait.
 _WAITING = """
-    test_bench_all_run test_bench_children test_bench_console test_bench_page test_bench_video_run
+    test_bench_all_run test_bench_children test_bench_console test_bench_video_run
     test_command_output test_files test_fresh_process test_launcher test_link_command test_maintain
     test_metrics test_readme_commands test_remote_update test_rtc_peers test_services test_upkeep
     test_whip_client
@@ -83,13 +83,14 @@ _PACKAGES = "sim/test_cluster sim/test_mujoco_robot unit/pipelines/recording/exp
 
 TABLE = (
     *_rows(Lane.ANY, True, "", "unit/ vectors/ fuzz/ sim/ web/ project/ samples/"),
-    *_rows(Lane.MACHINE, False, "", "realtime/ browser/"),
+    *_rows(Lane.MACHINE, False, "", "realtime/"),
+    # A page takes more than a core.
+    *_rows(Lane.MACHINE, False, "browser/", alone=True),
+    *_rows(Lane.MACHINE, False, "realtime/", "test_bench_page test_bench_live", alone=True),
     *_rows(Lane.WAITS, False, "interop/"),
     *_rows(Lane.WAITS, False, "realtime/", _WAITING),
     *_rows(Lane.ANY, False, "sim/", _LONG),
     *_rows(Lane.ANY, False, "", _PACKAGES),
-    # A hand that follows what a page says takes more than a core.
-    *_rows(Lane.MACHINE, False, "browser/", "test_newcomer", alone=True),
     *(row for room, names in _JOURNEYS.items() for row in _rows(Lane.MACHINE, True, room, names)),
 )
 

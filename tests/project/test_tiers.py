@@ -61,11 +61,11 @@ def test_cannot():
 def run(tmp_path, monkeypatch):
     """run({room: source}, *options): exit code, lines of output, and what began and ended."""
 
-    def run_suite(rooms, *options, name="test_it.py"):
+    def run_suite(rooms, *options):
         (tmp_path / "pytest.ini").write_text("[pytest]\n")
         for room, source in rooms.items():
             (tmp_path / "tests" / room).mkdir(parents=True)
-            (tmp_path / "tests" / room / name).write_text(source)
+            (tmp_path / "tests" / room / "test_it.py").write_text(source)
         (tmp_path / "tests" / "conftest.py").write_text(CONFTEST)
         trace = tmp_path / "trace"
         monkeypatch.setenv("TRACE", str(trace))
@@ -125,12 +125,12 @@ def test_a_lane_runs_one_test_at_a_time_and_others_leave_it_the_machine(run):
 
 def test_a_test_that_needs_the_whole_machine_has_no_other_lane_beside_it(run):
     suite = {"browser": SLOW, "interop": SLOW.replace("(3)", "(20)").replace("0.3", "0.1")}
-    code, _, events = run(suite, "--full", name="test_newcomer.py")
+    code, _, events = run(suite, "--full")
     assert code == 0
     running = set()
     for what, test, _ in events:
         running = running | {test} if what == "begin" else running - {test}
-        assert len(running) == 1 or not any("newcomer" in test for test in running)
+        assert len(running) == 1 or not any("browser" in test for test in running)
 
 
 def test_each_row_of_the_table_has_tests():

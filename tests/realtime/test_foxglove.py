@@ -118,6 +118,17 @@ def assert_decodes(received):
             assert (pictures, faults) == (len(units), []), topic
 
 
+#: Of calls; those of tests have smaller ones.
+_numbers = count(1000)
+
+
+def answered(looker, service, **fields):
+    """The answer of a service, which is asked again where a busy machine answers too late."""
+    return eventually(
+        lambda: looker.call(next(_numbers), service, **fields).get("answer"), f"{service} does it"
+    )
+
+
 class Run:
     """One recorded session with Foxglove's client at it, and what both have of it."""
 
@@ -154,8 +165,9 @@ class Run:
         self.looker = looker
         try:
             assert looker.services() == ["/camera/select"]
-            assert looker.call(0, "/camera/select", camera="head")["answer"]["round_trip_ms"] > 0
-            assert "nose" in looker.call(1, "/camera/select", camera="nose")["failure"]
+            answer = answered(looker, "/camera/select", camera="head")
+            assert answer["round_trip_ms"] > 0
+            assert "nose" in looker.call(0, "/camera/select", camera="nose")["failure"]
             wanted = {
                 **dict.fromkeys(
                     ("/uplink_video/sent", "/downlink_video/received", "/haptic/up/received"), 60
@@ -220,7 +232,7 @@ def test_over_tls_a_client_leads_a_task_by_services(start, tmp_path):
         assert "choose one of " in refusal
         task = refusal.split("choose one of ")[1].split(", ")[0]
         assert "failure" in looker.call(2, "/task/abort")
-        assert looker.call(3, "/task/select", task=task)["answer"]["round_trip_ms"] > 0
+        assert answered(looker, "/task/select", task=task)["round_trip_ms"] > 0
         numbers = count(4)
 
         eventually(

@@ -65,7 +65,7 @@ class Driven:
 
     def __init__(self, kind, side):
         self.facts, self._side = kind.facts, side
-        self._bench, self._order = Bench(), (BRAKE, (0.0, 0.0))
+        self._bench, self._order, self._age = Bench(), (BRAKE, (0.0, 0.0)), 0
 
     def configure(self): ...
 
@@ -82,10 +82,14 @@ class Driven:
 
     def write_force(self, x_n, y_n):
         if self._order[0] == FOLLOW:
-            self._order = FOLLOW, (x_n, y_n)
+            self._order, self._age = (FOLLOW, (x_n, y_n)), 0
 
     def advance(self, dt_ns):
         bench = self._bench
+        # As `arm.py` drops what is older than 50 cycles.
+        self._age += 1
+        if self._order[0] == FOLLOW and self._age > 50:
+            self._order = BRAKE, (0.0, 0.0)
         bench.now_ns += dt_ns
         bench.world.arms[self._side].handle_order(*self._order, bench.now_ns)
         bench.world.step(bench.now_ns)

@@ -244,6 +244,18 @@ def test_s9_speed_and_workspace_have_limits():
     assert bench.side.controller.reference_x_m == pytest.approx(-0.05, abs=1e-3)
 
 
+@pytest.mark.rule("S9")
+@pytest.mark.parametrize("limit_m_s", [0.2, 0.5])
+def test_s9_the_tip_that_catches_up_is_no_faster_than_its_limit(limit_m_s):
+    bench = Bench(replace(LIMITS, speed_m_s=limit_m_s)).press()
+    bench.move(-0.05)
+    most_m_s = 0.0
+    for _ in range(1500):
+        bench.run(1)
+        most_m_s = max(most_m_s, abs(bench.side.robot.vx_m_s))
+    assert 0.9 * limit_m_s < most_m_s <= limit_m_s
+
+
 @pytest.mark.rule("6")
 @pytest.mark.parametrize("name", [each.name for each in fields(SafetyLimits)])
 def test_limits_that_cannot_work_are_refused(name):
