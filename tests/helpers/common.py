@@ -1,9 +1,11 @@
 """What tests of several rooms need: waiting, free ports, likeness of pictures."""
 
+import contextlib
 import os
 import socket
 import time
 from collections.abc import Callable
+from itertools import count
 from typing import TypeVar
 
 import numpy as np
@@ -26,11 +28,26 @@ def eventually(
     return got
 
 
-def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM, host: str = "127.0.0.1") -> int:
-    """Return a free port of UDP, or of TCP with `socket.SOCK_STREAM`."""
-    with socket.socket(socket.AF_INET, kind) as end:
-        end.bind((host, 0))
-        return end.getsockname()[1]
+#: Of this process among those that run the tests.
+WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+#: Ports that each worker gives away in turn. None is the kernel's to give to others meanwhile.
+_PORTS, _FIRST = 2_000, 10_000
+_turn = count(os.getpid() % _PORTS)
+
+
+def free_port(
+    kind: socket.SocketKind = socket.SOCK_DGRAM, host: str = "127.0.0.1", *, more: int = 0
+) -> int:
+    """Return a free port of UDP, or of TCP with `socket.SOCK_STREAM`, before `more` free ones."""
+    for _ in range(_PORTS):
+        port = _FIRST + WORKER % 4 * _PORTS + next(_turn) % (_PORTS - more)
+        with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
+            for each in range(port, port + 1 + more):
+                stack.enter_context(socket.socket(socket.AF_INET, kind)).bind((host, each))
+            for _ in range(more):
+                next(_turn)
+            return port
+    raise AssertionError("no port is free")
 
 
 def psnr_db(one: np.ndarray, other: np.ndarray) -> float:

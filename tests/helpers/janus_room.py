@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import aiohttp
+import common
 from aiohttp import web
 from running_session import end_with_the_tests
 
@@ -35,8 +36,7 @@ def missing():
 
 
 def free_port():
-    with socket.create_server(("127.0.0.1", 0)) as found:
-        return found.getsockname()[1]
+    return common.free_port(socket.SOCK_STREAM)
 
 
 class Janus:

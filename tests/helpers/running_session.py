@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from common import PATIENCE_S, eventually, free_port
+from common import PATIENCE_S, WORKER, eventually, free_port
 
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import shared_memory
@@ -48,8 +48,8 @@ def end_with_the_tests():
 def free_base_port():
     """Return the first of a block of free ports, below the kernel's range of ephemeral ports."""
     # `running_part` has the blocks before.
-    bases = range(29_400, 32_700 - PORTS, PORTS)
-    # Another worker on the same machine begins elsewhere.
+    bases = range(29_400, 32_700 - PORTS, PORTS)[WORKER % 4 :: 4]
+    # Another run of the tests on the same machine begins elsewhere.
     first = os.getpid() % len(bases)
     for base in (*bases[first:], *bases[:first]):
         with contextlib.ExitStack() as stack:
@@ -69,17 +69,7 @@ def tcp_port():
 
 def free_pair():
     """Return a free UDP port, such that the one after it is free, too."""
-    for _ in range(100):
-        with contextlib.ExitStack() as stack, contextlib.suppress(OSError, OverflowError):
-            first, second = (
-                stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-                for _ in range(2)
-            )
-            first.bind(("127.0.0.1", 0))
-            port = first.getsockname()[1]
-            second.bind(("127.0.0.1", port + 1))
-            return port
-    pytest.skip("no two free UDP ports beside each other")
+    return free_port(more=1)
 
 
 def alive(pid):

@@ -25,7 +25,7 @@ MEDIA_SERVER = ROOT / "tests" / "helpers" / "media_server.py"
 SYSTEM_PYTHON = "/usr/bin/python3"
 #: Pictures that are not shown. FFmpeg's and GStreamer's demuxers are not sure of the last ones
 #: before the end. VLC looks at a stream before it shows it.
-KEPT = {"ffmpeg": 3, "gstreamer": 1, "vlc": 12}
+KEPT = {"ffmpeg": 3, "gstreamer": 1, "vlc": 20}
 
 
 def vlc(*source, stdin=subprocess.DEVNULL):
