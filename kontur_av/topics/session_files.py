@@ -181,9 +181,14 @@ def _digest(session: str) -> str:
     return hashlib.sha256(session.encode()).hexdigest()[:8]
 
 
+def partial_of(path: Path) -> Path:
+    """Return where this process writes what will replace a file."""
+    return path.with_name(f"{path.name}.{os.getpid()}.new")
+
+
 def replace_file(path: Path, content: bytes) -> None:
     """Replace a file in one step, so that a killed process leaves the old or the new content."""
-    partial = path.with_suffix(".new")
+    partial = partial_of(path)
     partial.write_bytes(content)
     partial.replace(path)
 

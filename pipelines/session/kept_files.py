@@ -19,7 +19,7 @@ from typing import Final, Literal, TypeVar
 
 import msgspec
 
-from kontur_av.topics.session_files import replace_file, session_root
+from kontur_av.topics.session_files import partial_of, replace_file, session_root
 from pipelines.session.figures import Event
 from telepresence.malformed import MALFORMED
 
@@ -87,7 +87,7 @@ class KeptOrders:
         except OSError:
             # A full disk has no room for the words. The file begun for them can be renamed.
             with suppress(OSError):
-                self._stop.with_suffix(".new").replace(self._stop)
+                partial_of(self._stop).replace(self._stop)
                 return
             self._stop.touch()
 

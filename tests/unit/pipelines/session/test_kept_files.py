@@ -41,7 +41,7 @@ def test_an_emergency_stop_holds_until_it_is_released_also_on_a_full_disk(
 ):
     if "touch" in disk:
         # Without room for a file it takes one that is there.
-        (session_root(SESSION) / "stop.new").touch()
+        session_files.partial_of(session_root(SESSION) / "stop").touch()
     for what in disk:
         monkeypatch.setattr(Path, what, full)
     assert not kept.stopped
@@ -65,6 +65,20 @@ def test_a_stop_needs_no_room_where_its_file_was_made_ready(kept, monkeypatch):
     kept.stop("a test")
     kept.stop("another test")
     assert kept.stopped_by == "a test"
+
+
+def test_two_processes_that_replace_one_file_at_once_do_not_disturb_each_other(kept, monkeypatch):
+    path, write = session_root(SESSION) / "dictionary.json", Path.write_bytes
+
+    def while_another_writes(partial, content):
+        write(partial, content)
+        monkeypatch.setattr(Path, "write_bytes", write)
+        monkeypatch.setattr("os.getpid", lambda: 1)
+        session_files.replace_file(path, b"other")
+
+    monkeypatch.setattr(Path, "write_bytes", while_another_writes)
+    session_files.replace_file(path, b"one")
+    assert path.read_bytes() == b"one"
 
 
 def test_orders_without_room_are_unknown_and_older_ones_do_not_come_back(kept, monkeypatch):
