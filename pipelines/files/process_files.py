@@ -29,7 +29,7 @@ from telepresence.services.streams import ServiceStreams
 
 #: What is being written lies in a directory of this name, and nobody else's files do.
 _OWN, _PART = ".kontur-av-files", "part-"
-#: What a path can raise that is no fault of ours, such as a link that leads to itself.
+#: A user's path can raise these: a symbolic link to itself, for example, a RuntimeError.
 _ODD = (ConfigError, OSError, RuntimeError, ValueError)
 #: For the line that says how many are left out.
 _ROOM = 40

@@ -164,7 +164,7 @@ class RobotEnd(_End[RobotSide]):
             self._handle_of(Owner.PARTNER, data, now_ns)
 
     def _handle_of(self, source: Owner, data: bytes, now_ns: int) -> None:
-        """Take a datagram of one of two joysticks. Whoever drives, either may stop the robot."""
+        """Take a datagram of one of two joysticks. Either may stop the robot; the owner drives."""
         assert self._ownership is not None
         stop, before = carries_stop(data), self._stop_of[source]
         self._stop_of[source] = stop

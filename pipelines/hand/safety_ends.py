@@ -87,16 +87,16 @@ class CameraWatch:
         return now_ns - self._captured_ns > self._stale_ns
 
 
-#: A stop that is ordered anew lets the bit of the stop go for `_PULSE_NS`, so often at least, and
-#: until the robot says that it is stopped, but no longer than `_ASKS_NS`.
+#: A repeated stop clears the bit for `_PULSE_NS` every `_EVERY_NS`. It does so for `_LEAST_NS`, and
+#: then until the robot says that it is stopped, for `_ASKS_NS` at most.
 _PULSE_NS, _EVERY_NS, _LEAST_NS, _ASKS_NS = (each * NS_PER_MS for each in (50, 200, 600, 10_000))
 
 
 class StopBit:
     """Whether the joystick's samples carry the emergency stop.
 
-    A robot whose stop was released elsewhere follows no hand while the bit stays set, and takes
-    only a change of it for a new order. So a stop that is ordered anew is such a change.
+    A robot whose stop was released elsewhere follows no hand while the bit stays set. Only a change
+    of the bit is a new order for it. So a repeated stop clears the bit for a moment.
     """
 
     def __init__(self) -> None:
@@ -222,7 +222,7 @@ def keep_joystick(kept: KeptOrders, handle: OperatedHandle) -> Cycle:
 
     def keep(now_ns: int) -> None:
         nonlocal last
-        # Named by its instant; a stop of which nothing is known has the number 1.
+        # Each order has its instant as its name; 1 if the instant is not known.
         ordered_ns = (kept.stopped_at_ns or 1) if kept.stopped else None
         handle.stop = bit.handle_order(ordered_ns, handle.robot_stopped, now_ns)
         orders = JoystickOrders(paused=operation.paused, experiment=operation.experiment)

@@ -87,7 +87,7 @@ TABLE = (
     # A page takes more than a core.
     *_rows(Lane.MACHINE, False, "browser/", alone=True),
     *_rows(Lane.MACHINE, False, "realtime/", "test_bench_page test_bench_live", alone=True),
-    # Pictures for others get only what a session leaves of the processors.
+    # These processes run at the idle priority, so another lane would starve them.
     *_rows(Lane.MACHINE, False, "realtime/", "test_foxglove test_ros2", alone=True),
     *_rows(Lane.WAITS, False, "interop/"),
     *_rows(Lane.WAITS, False, "realtime/", _WAITING),
