@@ -100,7 +100,7 @@ def _str(value: Any) -> str:
     return "" if value is None else one_line(value)
 
 
-#: What has something within, or words, which are converted in any case.
+#: Values of these types are converted in any case: what is in a tuple, and words.
 _NESTED = (tuple, str)
 _SCALARS: dict[type, _Convert] = {float: _float, int: _int, bool: _bool, str: _str}
 
@@ -140,8 +140,9 @@ def _one_of(value: Any, choices: tuple[Any, ...]) -> Any:
 
 def _record(kind: Any) -> _Convert:
     """Of a NamedTuple, also from any other sequence of its fields."""
-    converters = [(name, _converter(one)) for name, one in get_type_hints(kind).items()]
-    types = tuple(_exact(one) for one in get_type_hints(kind).values())
+    hints = get_type_hints(kind)
+    converters = [(name, _converter(one)) for name, one in hints.items()]
+    types = tuple(get_origin(one) or one for one in hints.values())
     least = len(converters) - len(kind._field_defaults)
 
     def convert(value: Any) -> Any:
@@ -155,10 +156,6 @@ def _record(kind: Any) -> _Convert:
         return kind(*(_named(*one, item) for one, item in zip(converters, items, strict=False)))
 
     return convert
-
-
-def _exact(kind: Any) -> Any:
-    return get_origin(kind) or kind
 
 
 def _named(name: str, convert: _Convert, value: Any) -> Any:

@@ -39,7 +39,7 @@ from telepresence.haptics.schedule import PeriodicSchedule
 
 #: After an order to stop it comes to rest within this.
 _STOP_NS = 200 * NS_PER_MS
-#: A robot keeps no force longer than this, and one that runs alone stops without a cycle.
+#: A robot that runs alone stops after this long without a cycle.
 _ALONE_NS = 50 * NS_PER_MS
 #: The call of `deactivate` may take this long; the loop waits for it.
 _MOST_CALL_MS = 1.0
@@ -84,7 +84,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         """A session that is late by 50 ms does not make it run away, nor keep its force."""
         with self._activated():
             self._cycles(SPELL_NS // 3, self._gentle(1))
-            late = self._cycles(_ALONE_NS, None)
+            late = self._cycles(KEEPS_FORCE_NS, None)
             after = self._cycles(SPELL_NS // 6, None)
         fastest = max(map(speed, late + after))
         figure = Figure("speed", fastest, "m/s", most=self._device.facts.speed_m_s)
@@ -127,6 +127,9 @@ class RobotCheck(DeviceCheck[RobotReading]):
     def _switch_on(self) -> RobotFacts:
         device = self._device
         device.configure()
+        if not isinstance(device.facts, RobotFacts):
+            # Refused here, before it has power; wrong values are the check of its facts.
+            taken(RobotFacts, device.facts, "facts")
         self._takes_force = device.facts.takes == "force"
         self._runs_alone = device.facts.runs_alone
         self._powered = True

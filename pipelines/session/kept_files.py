@@ -76,11 +76,12 @@ class KeptOrders:
                 os.utime(self._stop)
             return
         words = by.encode()[:_MOST_CHARACTERS]
+        # Before the file is the stop: its instant names the order. Without room nobody is named.
+        with suppress(OSError), self._armed.open("r+b") as file:
+            file.write(words.ljust(_MOST_CHARACTERS))
         with suppress(OSError):
             self._armed.rename(self._stop)
-            # First it holds, then it says by whom: without room for that nobody is named.
-            with suppress(OSError), self._stop.open("r+b") as file:
-                file.write(words.ljust(_MOST_CHARACTERS))
+        if self.stopped:
             return
         try:
             replace_file(self._stop, words)

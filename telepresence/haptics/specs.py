@@ -127,7 +127,10 @@ def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
     axes: those behind x and y; ConfigError for a robot that has others.
     """
     made = load_robot(spec, axes)
-    robot = made if isinstance(made, Robot) else DrivenRobot(made)
+    try:
+        robot = made if isinstance(made, Robot) else DrivenRobot(made)
+    except ConfigError as error:
+        raise ConfigError(f"robot {spec}: {error}") from error
     try:
         check_axes(f"robot {spec}", [axis.facts for axis in robot.more], axes)
     except ConfigError:

@@ -9,6 +9,7 @@ from places import ROOT
 from user_parts import Guided, load
 
 from kontur_av.clock import ManualClock
+from kontur_av.errors import ConfigError
 from pipelines.cli import main
 from pipelines.hand.driver_checks import JoystickCheck, RobotCheck
 from telepresence.haptics.device.simulated import SimulatedDevice
@@ -410,6 +411,13 @@ def test_a_fault_of_much_fails_its_check(device, check, breaks):
     broken = device()
     breaks(broken)
     assert check in failed(broken)
+
+
+def test_facts_of_another_type_are_refused_before_the_robot_has_power():
+    robot = Mass()
+    robot.facts, robot.power_on = {"name": "arm"}, lambda: pytest.fail("it got power")
+    with pytest.raises(ConfigError, match="facts returned a dict: give RobotFacts"):
+        checked(robot)
 
 
 def test_axes_that_are_not_described_are_said_and_without_motors_only_sensors_are_checked():
