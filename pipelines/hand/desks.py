@@ -276,6 +276,7 @@ class JoystickStatusTeller(WatchedTopic):
             pressed=handle.pressed,
             robot_waits=handle.robot_waits,
             robot_stopped=handle.robot_stopped,
+            command_age_ms=handle.command_age_ms,
             axes=tuple(
                 AxisStatus(
                     name=axis.facts.name,

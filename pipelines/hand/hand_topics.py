@@ -115,7 +115,8 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     temperature_c: of the hotter motor (°C); None without a thermometer.
     x_m, y_m: place of the handle from the centre. pressed: how often a button went down.
     robot_waits, robot_stopped: the robot's newest sample says that it waits for a new press, and
-    that an emergency stop holds it.
+    that an emergency stop holds it. command_age_ms: how old the commands are that it gets, at most;
+    None if unknown.
     axes: those behind x and y.
     test, test_part, test_reason, test_number: the newest functional test, as
     `telepresence.haptics.device.functional_test.TestReport` has it. test_figures: what it measured,
@@ -141,6 +142,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     pressed: int = 0
     robot_waits: bool = False
     robot_stopped: bool = False
+    command_age_ms: int | None = None
     axes: tuple[AxisStatus, ...] = ()
     test: str = "none"
     test_part: str = "none"

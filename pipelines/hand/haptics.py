@@ -301,6 +301,8 @@ class JoystickEnd(_End[JoystickSide]):
             self._feel(now_ns, feedback.fx_n, feedback.fy_n, feedback.contact)
         if self._tell_hand is not None:
             self._tell_hand(feedback)
+        if self._operated is not None:
+            self._operated.command_age_ms = self.side.link.told_age_ms
         self._cycle(now_ns, advance_ns)
         if self.trace.rows is not None:
             self._add_row(now_ns, feedback)

@@ -47,7 +47,8 @@ def run_second_robot(context: Context) -> None:
     robot = open_robot(context.topology.options.second_robot)
     with closing(robot), context.open_bus() as bus:
         publish = state_publisher(bus, SECOND_ROBOT_TOPIC)
-        envelope = SafetyEnvelope(within(context.setup.safety, robot.facts))
+        limits = within(context.setup.safety, robot.facts)
+        envelope = SafetyEnvelope(limits, delay_ns=context.setup.round_trip_ns)
         end = RobotEnd(context.probe, robot_side(envelope, life=new_life(), robot=robot))
         watch, recover = keep_powered(robot, envelope)
         stop = follow_stop(KeptOrders(context.session), end)

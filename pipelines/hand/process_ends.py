@@ -204,7 +204,11 @@ def run_robot(context: Context) -> None:
             ownership = HapticOwnership(None, wanted=asked)
             board = PartnerBoard(ownership)
         side = robot_side(
-            SafetyEnvelope(within(setup.safety, robot.facts), stopped=kept.stopped),
+            SafetyEnvelope(
+                within(setup.safety, robot.facts),
+                stopped=kept.stopped,
+                delay_ns=setup.round_trip_ns,
+            ),
             life=life,
             deadband=setup.deadband != "off",
             mediated=mediated,

@@ -79,6 +79,15 @@ _RULES: Mapping[type[texts.SeatRequest], _Rule] = {
 }
 
 
+#: Of the commands' age on pages.
+_AGE_STEP_MS = 50
+
+
+def _coarse(age_ms: int | None) -> int | None:
+    """Round an age up to 50 ms, so that pages are not told of each millisecond."""
+    return None if age_ms is None else -(-age_ms // _AGE_STEP_MS) * _AGE_STEP_MS
+
+
 def _allowed(status: JoystickStatus, state: states.JoystickState) -> tuple[str, ...]:
     """The requests that the joystick would take now."""
     allowed = {one.value for one in states.REQUESTS if (state, one) in states.TRANSITIONS}
@@ -300,6 +309,7 @@ class Seat:
             state=state.words,
             allowed=_allowed(status, state),
             axes=tuple(axes),
+            command_age_ms=_coarse(status.command_age_ms),
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._desk.handle_status(status)

@@ -164,7 +164,7 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     """The joystick's state in words. allowed: requests that it would take now. axes: those behind
     x and y. test, test_reason: what became of the newest functional test. experiment: of the
     present or the next application. partner: whether a partner's robot is there; null: there can be
-    none.
+    none. command_age_ms: how old the commands are that the robot gets, at most, to 50 ms.
     """
 
     state: str
@@ -178,6 +178,7 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     test_reason: str = ""
     experiment: str = "german experiment"
     partner: bool | None = None
+    command_age_ms: int | None = None
 
 
 class SafetyText(msgspec.Struct, frozen=True, kw_only=True):

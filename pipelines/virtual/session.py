@@ -305,7 +305,7 @@ class Simulation:
         given = self._given_robot
         limits = within(self.setup.safety, None if given is None else given.facts)
         side = robot_side(
-            SafetyEnvelope(limits),
+            SafetyEnvelope(limits, delay_ns=self.setup.round_trip_ns),
             life=life,
             deadband=deadband,
             mediated=mediated,

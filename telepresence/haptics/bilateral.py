@@ -260,6 +260,8 @@ class RobotSide(_Side):
             # A joystick that starts asks for a session long before one begins.
             self._asking = self._session.asking
             estimator.tell_again()
+        if envelope is not None:
+            envelope.command_age_ns = self.link.command_age_ns(now_ns)
         acted = self._advance(now_ns, advance_ns)
         contact = robot.contact or (
             self.axes is not None and any(axis.contact for axis in robot.more)

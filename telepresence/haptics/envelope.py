@@ -8,8 +8,9 @@ In each cycle: call `admit`, give the controller what it returns, and `speed_m_s
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.figures import Newest
+from telepresence.haptics.echo import ANY_AGE_NS
 from telepresence.haptics.sample import STATE_APPLICATION, Command
 
 #: Nearer than this to the hand (m), the robot has caught up.
@@ -21,6 +22,8 @@ class SafetyLimits:
     """Limits of a setup; the defaults are chosen. ValueError for limits that cannot work.
 
     command_max_age_s: an older newest command is none.
+    hand_max_age_s: a command is too old to move the robot so long after the hand gave it. The
+    radio's delay, there and back, comes on top.
     resume_within_s: a drop-out of the commands up to this resumes by itself. A pass has many.
     approach_m_s: how fast the robot then catches up with the hand.
     picture_max_age_s: an older picture of the operator is too old. The radio's delay, and what the
@@ -31,6 +34,7 @@ class SafetyLimits:
     """
 
     command_max_age_s: float = 0.02
+    hand_max_age_s: float = 0.5
     resume_within_s: float = 0.3
     approach_m_s: float = 0.1
     picture_max_age_s: float = 0.5
@@ -75,6 +79,7 @@ class Hold(StrEnum):
     OFF = "the robot was off"
     CAMERA = "another camera"
     PICTURE = "the operator's picture was too old"
+    AGE = "the commands were too old"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,6 +94,8 @@ class SafetyFigures:
     waiting: Newest[bool] = False
     #: The robot's place less the hand's at the newest press.
     offset_mm: Newest[tuple[float, float]] = (0.0, 0.0)
+    #: How old the commands are at most that the robot gets, since the hand.
+    command_age_ms: Newest[float | None] = None
     #: New presses with which motion began.
     presses: int = 0
     #: Drop-outs after which motion resumed by itself.
@@ -108,14 +115,24 @@ class SafetyEnvelope:
     speed_m_s: the limit of the reference's speed now.
     blind: the caller sets it while it knows that what the operator sees is too old, such as half of
     a merged picture; the commands say the rest.
+    command_age_ns: how old the newest command is at most, since the hand; for the caller to set.
+    None: nobody knows, as of a joystick that returns no echoes.
+    delay_ns: of the radio, there and back.
     """
 
     def __init__(
-        self, limits: SafetyLimits | None = None, *, stopped: bool = False, now_ns: int = 0
+        self,
+        limits: SafetyLimits | None = None,
+        *,
+        stopped: bool = False,
+        now_ns: int = 0,
+        delay_ns: int = 0,
     ) -> None:
         self.limits = limits = limits or SafetyLimits()
         self._resume_ns = round(limits.resume_within_s * NS_PER_S)
         self._picture_hold_ns = round(limits.picture_hold_s * NS_PER_S)
+        self._hand_max_ns = round(limits.hand_max_age_s * NS_PER_S) + delay_ns
+        self.command_age_ns: int | None = None
         self.stopped = stopped
         self.blind = False
         self.hold = Hold.STARTED
@@ -219,11 +236,13 @@ class SafetyEnvelope:
     def report(self) -> SafetyFigures:
         """Return what holds the robot, why, since when, and the counts."""
         x_m, y_m = self.offset_m
+        age_ns = self.command_age_ns
         return SafetyFigures(
             hold=self.hold,
             since_s=round(self.since_ns / NS_PER_S, 3),
             waiting=self.waiting,
             offset_mm=(round(x_m * 1e3, 1), round(y_m * 1e3, 1)),
+            command_age_ms=None if age_ns in (None, ANY_AGE_NS) else round(age_ns / NS_PER_MS, 1),
             presses=self.presses,
             resumed=self.resumed,
             stops=self.stops,
@@ -247,6 +266,14 @@ class SafetyEnvelope:
             return False
         if state != STATE_APPLICATION or halted:
             self.require_press(Hold.INACTIVE)
+            return False
+        age_ns = self.command_age_ns
+        if age_ns is not None and age_ns > self._hand_max_ns:
+            if self._cause in (_NONE, Hold.RELEASED, Hold.AGE):
+                self.require_press(Hold.AGE)
+            elif not pressed:
+                # A press after a gap counts once its age is known.
+                self._released = True
             return False
         self._handle_picture(blind or self.blind, now_ns)
         if not pressed:

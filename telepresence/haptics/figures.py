@@ -31,7 +31,9 @@ class SamplesReceived:
     strays: int = 0
     #: Greetings received, with which sessions begin.
     greetings: int = 0
-    #: Datagrams that are neither sample nor greeting.
+    #: Echoes received, by which the robot knows how old its commands are.
+    echoes: int = 0
+    #: Datagrams that are none of these.
     garbage: int = 0
     #: Sessions begun, one every 30 s.
     sessions: int = 0

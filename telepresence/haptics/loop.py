@@ -10,18 +10,24 @@ from kontur_av.errors import ProtocolError
 from kontur_av.figures import figures_of
 from telepresence.haptics.axes import AxisTotals
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
+from telepresence.haptics.echo import EchoProbe
 from telepresence.haptics.figures import SamplesReceived, SamplesSent
 from telepresence.haptics.sample import (
+    FLAG_ECHOES,
     FLAG_HOLDING,
     SAMPLE_OCTETS,
     SEQUENCE_MODULUS,
     Command,
+    Echo,
     Feedback,
+    is_echo,
     is_greeting,
     pack_command,
+    pack_echo,
     pack_feedback,
     pack_greeting,
     read_command,
+    read_echo,
     read_feedback,
     read_greeting,
 )
@@ -98,6 +104,8 @@ class HapticLink(Generic[Out, In]):
 
     newest_sequence: number of the newest sample received. hearing: samples of the peer arrive.
     peer_holds: the newest sample says that the peer receives nothing from this end.
+    told_age_ms: of a joystick: how old its commands are at the robot, as the robot says; None
+    before it has.
     """
 
     def __init__(
@@ -119,6 +127,7 @@ class HapticLink(Generic[Out, In]):
         self.repeated = 0
         self.strays = 0
         self.greetings = 0
+        self.echoes = 0
         self.garbage = 0
         self.sessions = 0
         self.lost = 0
@@ -126,6 +135,12 @@ class HapticLink(Generic[Out, In]):
         self._pack: Callable[[int, Out, bool, int, int], bytes] = pack
         self._unpack: Callable[[bytes], tuple[int, int, int, In]] = unpack
         self._robot = isinstance(session, RobotSession)
+        self._probe = EchoProbe()
+        #: Of a robot: the joystick returns echoes.
+        self._echoes = False
+        #: Of a joystick: the probe to return.
+        self._echo: int | None = None
+        self.told_age_ms: int | None = None
         self._axes = AxisTotals(more, robot=self._robot) if more else None
         # Energies in µJ. Sent: of all sessions, and what of it was sent in earlier ones. Received:
         # the most of all sessions, and what of it came in earlier ones.
@@ -165,6 +180,11 @@ class HapticLink(Generic[Out, In]):
             if is_greeting(data):
                 self.session.handle_greeting(read_greeting(data, feedback=not self._robot))
                 self.greetings += 1
+                self._echoes = self._robot and data[2] & FLAG_ECHOES != 0
+                return
+            if is_echo(data):
+                self.echoes += 1
+                self._handle_echo(*read_echo(data, feedback=not self._robot), now_ns)
                 return
             number, sequence, flags, value = self._unpack(data)
         except ProtocolError:
@@ -219,7 +239,7 @@ class HapticLink(Generic[Out, In]):
 
     def forget_peer(self) -> None:
         """The peer talks to another: its numbers begin anew when it comes back."""
-        self._newest = None
+        self._newest = self._echo = self.told_age_ms = None
         self.hearing = self.peer_holds = False
 
     def latest(self, now_ns: int) -> In | None:
@@ -255,6 +275,11 @@ class HapticLink(Generic[Out, In]):
             self._granted_before_uj = self._granted_uj
             if axes is not None:
                 axes.handle_sending()
+        echo = self._poll_echo(now_ns)
+        if echo is not None:
+            self._local = None
+            data = pack_echo(echo, self._sending, feedback=self._robot, holding=not self.hearing)
+            return data if axes is None else data + bytes(axes.octets)
         deadband = self.deadband
         if deadband is not None:
             local = deadband.handle_sample(local, not self.hearing, now_ns)
@@ -270,6 +295,13 @@ class HapticLink(Generic[Out, In]):
         self.sent += 1
         self._sent_ns.append(now_ns)
         return data
+
+    def command_age_ns(self, now_ns: int) -> int | None:
+        """Of a robot: how old the newest command is at most, since the hand.
+
+        None: the joystick returns no echoes.
+        """
+        return self._probe.age_ns(now_ns) if self._echoes else None
 
     def poll_timeout(self) -> int | None:
         """When to call `poll_transmit` even without a value to send, or None."""
@@ -308,6 +340,20 @@ class HapticLink(Generic[Out, In]):
     @property
     def restarts(self) -> int:
         return self.session.restarts
+
+    def _handle_echo(self, session: int, echo: Echo, now_ns: int) -> None:
+        if session not in (self.session.receiving, self.session.sending):
+            self.strays += 1
+        elif self._robot:
+            self._probe.handle_answer(echo.number, now_ns)
+        else:
+            self._echo, self.told_age_ms = echo.number, echo.age_ms
+
+    def _poll_echo(self, now_ns: int) -> Echo | None:
+        if self._robot:
+            return self._probe.poll_transmit(now_ns) if self._echoes else None
+        number, self._echo = self._echo, None
+        return None if number is None else Echo(number)
 
     def _accept(self, sequence: int, now_ns: int) -> bool:
         """Whether to use a sample whose number is not the next one."""

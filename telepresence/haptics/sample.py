@@ -6,7 +6,7 @@ layout is this project's own: the Kontur-2 papers give the size of a sample, not
 Positions and energies are running totals, so any sample makes up for the loss of those before it.
 The energy is rounded down, so that no energy is promised that does not exist.
 
-A greeting goes in the place of a sample. `session.py` says what it is for.
+A greeting or an echo goes in the place of a sample. `session.py` and `echo.py` say what for.
 """
 
 import struct
@@ -36,8 +36,12 @@ FLAG_CONTACT = 0x01
 FLAG_WAITING = FLAG_DEAD_MAN
 #: Of greetings, in both directions.
 FLAG_PARTNER = FLAG_HALTED
+#: Of the joystick's greetings: it returns echoes.
+FLAG_ECHOES = FLAG_ACTED
 FLAG_STOP = FLAG_CONTACT
 
+#: Octet 3 of an echo; it has the flags of a greeting.
+_ECHO = 1
 #: Bit 3 of octet 3.
 _BLIND = _STOPPED = 0x08
 
@@ -141,6 +145,17 @@ class Greeting(NamedTuple):
     partner: bool = False
 
 
+class Echo(NamedTuple):
+    """Sent in the place of a sample, to measure how old the commands are.
+
+    number: the robot's; the joystick returns it. age_ms: of the commands that the robot gets, at
+    most; 0 from the joystick.
+    """
+
+    number: int
+    age_ms: int = 0
+
+
 def pack_command(
     sequence: int, command: Command, holding: bool = False, session: int = 1, base_uj: int = 0
 ) -> bytes:
@@ -222,7 +237,15 @@ def pack_greeting(greeting: Greeting, *, feedback: bool, holding: bool) -> bytes
     session, number, answers, partner = greeting
     if partner:
         flags |= FLAG_PARTNER
+    if not feedback:
+        flags |= FLAG_ECHOES
     return _GREETING.pack(0, session, flags, 0, number, answers)
+
+
+def pack_echo(echo: Echo, session: int, *, feedback: bool, holding: bool) -> bytes:
+    """Return the 12 octets of `echo` in a session; feedback: it is the robot's."""
+    flags = FLAG_GREETING | (FLAG_FEEDBACK if feedback else 0) | (FLAG_HOLDING if holding else 0)
+    return _GREETING.pack(0, session, flags, _ECHO, *echo)
 
 
 def read_command(data: bytes) -> tuple[int, int, int, Command]:
@@ -296,7 +319,23 @@ def carries_stop(data: bytes) -> bool:
 
 def is_greeting(data: bytes) -> bool:
     """Whether `data` is to be read as a greeting, not as a sample."""
-    return len(data) == SAMPLE_OCTETS and data[2] & FLAG_GREETING != 0
+    return len(data) == SAMPLE_OCTETS and data[2] & FLAG_GREETING != 0 and data[3] != _ECHO
+
+
+def is_echo(data: bytes) -> bool:
+    """Whether `data` is to be read as an echo, not as a sample."""
+    return len(data) == SAMPLE_OCTETS and data[2] & FLAG_GREETING != 0 and data[3] == _ECHO
+
+
+def read_echo(data: bytes, *, feedback: bool) -> tuple[int, Echo]:
+    """Return session number and echo of `data`, for which `is_echo` holds.
+
+    ProtocolError unless it is such an echo. feedback: the robot's is expected.
+    """
+    zero, session, flags, _, number, age_ms = _GREETING.unpack(data)
+    if bool(flags & FLAG_FEEDBACK) is not feedback or zero or not session:
+        raise ProtocolError("haptic echo: of the other direction, or of no session")
+    return session, Echo(number, age_ms)
 
 
 def read_greeting(data: bytes, *, feedback: bool) -> Greeting:

@@ -13,7 +13,8 @@ MS = 1_000_000
 class HapticPair:
     """delay_ms, jitter_ms: of the path, each way. loss: the share of samples that it loses.
 
-    cut: the path carries nothing. newest: what each side has sent last, None for nothing.
+    command_delay_ms: on top for commands. cut: the path carries nothing. newest: what each side has
+    sent last, None for nothing.
     """
 
     def __init__(
@@ -28,6 +29,7 @@ class HapticPair:
     ) -> None:
         self.space, self.ground = space or JoystickSide(), ground or RobotSide()
         self.delay_ms, self.jitter_ms, self.loss = delay_ms, jitter_ms, loss
+        self.command_delay_ms = 0.0
         self.now_ns = 0
         self.cut = False
         self.newest: dict[JoystickSide | RobotSide, bytes | None] = {}
@@ -54,6 +56,7 @@ class HapticPair:
             if data is None or self.cut or self._random.random() < self.loss:
                 continue
             late_ms = self.delay_ms + self._random.random() * self.jitter_ms
+            late_ms += 0.0 if up else self.command_delay_ms
             self._sent += 1
             heappush(way, (now_ns + round(late_ms * MS), self._sent, up, data))
         self.now_ns += MS

@@ -90,17 +90,15 @@ def test_beside_a_session_it_waits_for_contact_and_does_nothing_in_an_experiment
     assert answer.returncode == 0, answer.stderr
     assert [one["state"] for one in lines if one["what"] == "contact"][-1] == "contact"
     assert "acquisition of signal" in answer.stdout
-    eventually(
-        lambda: session.ask("task", "select", "aiming").returncode == 0, "an experiment begins"
-    )
 
     def refused():
-        """The session tells its state a few times a second."""
+        """The session tells its state a few times a second; a run may end before it is seen."""
+        session.ask("task", "select", "aiming")
         answer, lines = maintain("tc joystick ping\n")
         return (answer.stderr, lines) if answer.returncode == 1 else None
 
     errors, lines = eventually(refused, "the experiment holds the telecommand back")
-    assert "an experiment runs (aiming, run 1)" in errors
+    assert "an experiment runs (aiming, run " in errors
     assert not [one for one in lines if one["what"] == "step"]
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])

@@ -25,7 +25,8 @@ def test_a_whole_session_gains_and_reports_it():
     up = saving.haptic["up"]
     assert up.saved_bps > 60_000 and up.receiver.lost == 0
     # Before the session of samples begins, each cycle greets; the first greetings have no signal.
-    assert 5980 <= up.sender.sent + up.sender.left_out + up.receiver.greetings <= 6000
+    others = up.receiver.greetings + up.receiver.echoes
+    assert 5980 <= up.sender.sent + up.sender.left_out + others <= 6000
     freed_bps = saving.link["uplink"].freed_bps
     assert freed_bps == pytest.approx(up.saved_bps, rel=0.01)
     assert plain.link["uplink"].freed_bps < 100
@@ -41,7 +42,7 @@ def test_freed_capacity_can_reduce_the_latency_instead():
     )
     plain, larger, sooner = (report.streams["uplink_video"] for report in reports)
     assert sooner.gained_bps == 0
-    assert sooner.payload_bps_mean == pytest.approx(plain.payload_bps_mean, rel=0.05)
+    assert sooner.payload_bps_mean == pytest.approx(plain.payload_bps_mean, rel=0.1)
     # Slots without a sample carry twice as much: a picture takes little more than half the time.
     assert sooner.latency_ms.p50 < plain.latency_ms.p50 - 8.0
     assert sooner.latency_ms.p99 < larger.latency_ms.p99 - 2.0

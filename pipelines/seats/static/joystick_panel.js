@@ -54,6 +54,7 @@ class JoystickPanel extends HTMLElement {
   #state = make("strong", { class: "joystick-state" }, "–");
   #dead = make("span", { class: "lamp" }, "dead-man");
   #limit = make("span", { class: "quiet small" });
+  #age = make("span", { class: "quiet small" });
   #reason = make("p", { class: "small", hidden: true });
   #answer = make("p", { class: "small", role: "status" });
   /** @type {Map<JoystickRequest, HTMLButtonElement>} */
@@ -67,7 +68,7 @@ class JoystickPanel extends HTMLElement {
     const chosen = this.hasAttribute("telecommands") ? APPLICATIONS : [];
     const others = REQUESTS.filter(([event]) => !chosen.some(([one]) => one === event));
     this.append(
-      make("header", {}, make("h2", {}, "Joystick"), this.#limit),
+      make("header", {}, make("h2", {}, "Joystick"), this.#age, this.#limit),
       make("div", { class: "joystick-line" }, this.#state, this.#dead),
       this.#reason,
       ...(chosen.length > 0 ? [make("h2", {}, "Application"), this.#row(chosen), make("h2", {}, "Joystick itself")] : []),
@@ -121,6 +122,8 @@ class JoystickPanel extends HTMLElement {
     setText(this.#dead, joystick === null ? "" : dead ? "● dead-man held" : "○ dead-man released");
     const limitN = joystick?.force_limit_n ?? 0;
     setText(this.#limit, limitN > 0 ? `force up to ${limitN.toFixed(1)} N` : "no force");
+    const ageMs = joystick?.command_age_ms ?? null;
+    setText(this.#age, ageMs === null ? "" : `the robot gets it within ${ageMs < 60_000 ? `${ageMs} ms` : "an unknown time"}`);
     const reason = joystick === null ? "" : joystickWords(joystick, this.hasAttribute("telecommands"));
     setText(this.#reason, reason);
     this.#reason.hidden = reason === "";

@@ -458,6 +458,11 @@ class Setup:
         return self.radio_profile.longest_delay_ns + own_ns
 
     @property
+    def round_trip_ns(self) -> int:
+        """The radio's longest delay (ns), there and back."""
+        return 2 * self.radio_profile.longest_delay_ns
+
+    @property
     def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
         every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
         return tuple(stream for stream in every if stream is not None)

@@ -29,6 +29,7 @@ class OperatedHandle:
     force_limit_n: 0 outside the application and while the dead-man button is released.
     stop, blind: the caller sets both. pressed: how often a button went down.
     robot_waits, robot_stopped: what the robot's newest sample says.
+    command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
     more: the axes behind x and y; their middle is where the device reads 0.
 
     Its time is the sum of what `step` was told, so it runs on virtual time too.
@@ -45,6 +46,7 @@ class OperatedHandle:
         self.dead_man = self.stop = self.blind = False
         self.buttons = self.pressed = 0
         self.robot_waits = self.robot_stopped = False
+        self.command_age_ms: int | None = None
         self.state = int(JoystickState.INIT)
         self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.facts.more]
         self._axes: MoreAxes | None = cast(MoreAxes, device) if self.more else None

@@ -38,7 +38,7 @@ class TwoMachines:
         self.random, self.delay_ms, self.loss = random, delay_ms, loss
         self.handle = OperatedHandle(SimulatedDevice(hand=Hand()))
         self.joystick = JoystickEnd(Probe(), life=1, handle=self.handle)
-        self.envelope = SafetyEnvelope()
+        self.envelope = SafetyEnvelope(delay_ns=2 * delay_ms * MS)
         self.robot = RobotEnd(Probe(), robot_side(self.envelope, life=2))
         self.desk = RobotDesk(self.robot.side, life=2, tasks=False, now_ns=0)
         self.bit, self.ordered = StopBit(), None

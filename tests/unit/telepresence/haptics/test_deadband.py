@@ -143,7 +143,7 @@ def test_a_sample_left_out_does_not_count_as_lost():
     report, told = joystick.received_figures(), robot.sent_figures()
     assert report.received == told.sent < 600
     assert report.lost == report.late == report.restarts == report.garbage == 0
-    assert told.left_out + told.sent + report.greetings == 3000
+    assert told.left_out + told.sent + report.greetings + report.echoes == 3000
     events = list(iter(joystick.next_event, None))
     assert len(events) == 1, "found once, never lost"
     matcher = LatencyMatcher()

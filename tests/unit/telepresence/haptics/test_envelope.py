@@ -1,8 +1,10 @@
 """The rules of docs/safety.md, one by one, at the robot's side of haptics on virtual time."""
 
+import tomllib
 from dataclasses import asdict, fields, replace
 
 import pytest
+from places import ROOT
 
 from kontur_av.clock import NS_PER_MS as MS
 from telepresence.haptics.bilateral import RobotSide
@@ -271,15 +273,6 @@ def test_limits_must_fit_each_other():
 
 
 def test_the_default_limits_are_those_of_the_documents():
-    assert asdict(SafetyLimits()) == {
-        "command_max_age_s": 0.02,
-        "resume_within_s": 0.3,
-        "approach_m_s": 0.1,
-        "picture_max_age_s": 0.5,
-        "slow_m_s": 0.03,
-        "picture_hold_s": 1.0,
-        "speed_m_s": 0.5,
-        "force_n": 30.0,
-        "half_width_m": 0.15,
-        "half_height_m": 0.1,
-    }
+    text = (ROOT / "docs" / "setups.md").read_text(encoding="utf-8")
+    table = "[safety]" + text.partition("\n[safety]")[2].partition("\n[")[0]
+    assert tomllib.loads(table)["safety"] == asdict(SafetyLimits())

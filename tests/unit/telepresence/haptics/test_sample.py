@@ -142,12 +142,12 @@ def test_a_greeting_is_read_as_it_was_written(session, number, answers, partner,
     greeting = Greeting(session, number, answers, partner)
     for holding in (False, True):
         data = pack_greeting(greeting, feedback=feedback, holding=holding)
-        assert data[2] == 0x40 | 0x80 * feedback | 0x20 * partner | 0x04 * holding
+        assert data[2] == 0x40 | (0x80 if feedback else 0x08) | 0x20 * partner | 0x04 * holding
         assert sample.is_greeting(data) and not sample.is_greeting(data + b"\0")
         assert read_greeting(data, feedback=feedback) == greeting
         with pytest.raises(ProtocolError, match="other direction"):
             read_greeting(data, feedback=not feedback)
-    for change in ({0: 1}, {3: 1}, {4: 0, 5: 0, 6: 0, 7: 0}):
+    for change in ({0: 1}, {3: 2}, {4: 0, 5: 0, 6: 0, 7: 0}):
         with pytest.raises(ProtocolError, match="octets 0 and 3"):
             read_greeting(bytes({**dict(enumerate(data)), **change}.values()), feedback=feedback)
 
@@ -156,7 +156,7 @@ def test_a_greeting_is_read_as_it_was_written(session, number, answers, partner,
     ("octets", "greeting", "feedback"),
     [
         # A joystick that sends in session 5 asks the life 0xbee100, and holds.
-        ("0005 44 00 00c0ffee 00bee100", Greeting(5, 0xC0FFEE, 0xBEE100), False),
+        ("0005 4c 00 00c0ffee 00bee100", Greeting(5, 0xC0FFEE, 0xBEE100), False),
         # The robot's life 0xbeef00 offers session 6 for that request.
         ("0006 c0 00 00beef00 00c0ffee", Greeting(6, 0xBEEF00, 0xC0FFEE), True),
     ],

@@ -1,0 +1,59 @@
+"""How old the commands that the robot gets are, without a common clock.
+
+The robot puts a probe in the place of a sample; the joystick returns it in the place of its next
+one. Samples that come after it are younger than the round trip. docs/haptics-sample.md has the
+octets.
+"""
+
+from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.sample import Echo
+
+#: A probe goes in the place of a sample this often.
+_EVERY_NS = 100 * NS_PER_MS
+#: Probes that count as under way; more than a link's delay needs.
+_MOST = 600
+_NUMBERS = 1 << 32
+#: Before the first answer.
+ANY_AGE_NS = 1 << 62
+
+
+class EchoProbe:
+    """The robot's end. Call `poll_transmit` for each sample in a session.
+
+    Where an answer is missing, the oldest probe without one says how old the commands are. Before
+    the first answer they have any age.
+    """
+
+    def __init__(self) -> None:
+        #: Instants of the probes without an answer, by their numbers, oldest first.
+        self._sent: dict[int, int] = {}
+        self._number = 0
+        self._due_ns = 0
+        self._trip_ns: int | None = None
+
+    def handle_answer(self, number: int, now_ns: int) -> None:
+        """The joystick has returned a probe. Others than those under way are ignored."""
+        sent_ns = self._sent.get(number)
+        if sent_ns is None:
+            return
+        self._trip_ns = now_ns - sent_ns
+        while self._sent.pop(next(iter(self._sent))) != sent_ns:
+            # Lost, or overtaken.
+            pass
+
+    def poll_transmit(self, now_ns: int) -> Echo | None:
+        """Return the probe to send in the place of this sample, or None."""
+        if now_ns < self._due_ns:
+            return None
+        self._due_ns = now_ns + _EVERY_NS
+        if len(self._sent) < _MOST:
+            self._number = (self._number + 1) % _NUMBERS
+            self._sent[self._number] = now_ns
+        return Echo(self._number, min(self.age_ns(now_ns) // NS_PER_MS, _NUMBERS - 1))
+
+    def age_ns(self, now_ns: int) -> int:
+        """Return how old (ns) the newest command is at most, since the hand."""
+        if self._trip_ns is None:
+            return ANY_AGE_NS
+        waited_ns = now_ns - next(iter(self._sent.values()), now_ns)
+        return waited_ns if waited_ns > self._trip_ns + _EVERY_NS else self._trip_ns
