@@ -50,9 +50,8 @@ def test_nothing_moves_by_commands_that_are_older_than_the_limit():
         pair.space.handle.handle_feedback(pair.space.link.latest(pair.now_ns))
         path_m[cycle // 1000] += hypot(pair.robot.vx_m_s, pair.robot.vy_m_s) / 1000
         if cycle == 25_000:
-            assert envelope.hold in (Hold.AGE, Hold.LOST)
+            assert envelope.hold in (Hold.AGE, Hold.LOST) and pair.space.link.told_age_ms > 4_000
             assert 4_000 <= envelope.report().command_age_ms < 4_300
-            assert pair.space.link.told_age_ms > 4_000
     assert sum(path_m[:10]) > 0.05
     # It holds once commands are missing.
     assert sum(path_m[11:30]) < 0.001
