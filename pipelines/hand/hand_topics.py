@@ -26,7 +26,7 @@ from telepresence.haptics.device.states import REQUESTS, ExperimentName, Joystic
 from telepresence.haptics.ownership import Owner, OwnershipFigures
 from telepresence.malformed import MALFORMED
 
-_INPUT = struct.Struct("<?ddIIq")
+_INPUT = struct.Struct("<?ddIIqq")
 _SHARE_OCTETS = 8
 #: With all axes.
 INPUT_OCTETS = _INPUT.size + _SHARE_OCTETS * len(AXIS_NAMES)

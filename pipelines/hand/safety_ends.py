@@ -31,6 +31,7 @@ from pipelines.session.topology import (
     Topology,
 )
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.page import NO_PICTURE, PageDevice
 from telepresence.haptics.envelope import Hold, SafetyLimits
 from telepresence.haptics.robot import RobotFacts
 from telepresence.tasks.definitions import ControlMode
@@ -40,7 +41,7 @@ class OperatorView:
     """The age of the uplink's picture where it is shown.
 
     A display that shows nothing, or is gone, lets the last picture age. Before the first picture
-    everything is too old.
+    everything is too old. Where a page steers, the picture that it has painted counts, too.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -55,9 +56,15 @@ class OperatorView:
         """
         self._captured_ns = shown_ns - lag_ns if lag_ns >= -FUTURE_NS else None
 
-    def is_blind(self, now_ns: int) -> bool:
-        """Whether the picture is too old, or there is none."""
-        return self._captured_ns is None or now_ns - self._captured_ns > self._most_ns
+    def is_blind(self, now_ns: int, painted_ns: int = NO_PICTURE) -> bool:
+        """Whether the picture is too old, or there is none.
+
+        painted_ns: as `PageInput.picture_ns` has it, of the page that steers.
+        """
+        captured_ns = self._captured_ns
+        if captured_ns is not None and painted_ns != NO_PICTURE:
+            captured_ns = min(captured_ns, painted_ns)
+        return captured_ns is None or now_ns - captured_ns > self._most_ns
 
 
 class CameraWatch:
@@ -236,13 +243,14 @@ def keep_joystick(kept: KeptOrders, handle: OperatedHandle) -> Cycle:
 def look_at_picture(bus: TopicBus, topology: Topology, handle: OperatedHandle) -> Cycle:
     """Return what tells the robot, in every sample, that the operator's picture is too old."""
     setup = topology.setup
-    view = OperatorView(setup)
+    view, device = OperatorView(setup), handle.device
     reader = bus.reader(topology.video(setup.uplink_video.name).lag_topic)
 
     def look(now_ns: int) -> None:
         if (lag := reader.latest_octets()) is not None:
             view.handle_shown(*LAG.unpack(lag))
-        handle.blind = view.is_blind(now_ns)
+        painted_ns = device.picture_ns if isinstance(device, PageDevice) else NO_PICTURE
+        handle.blind = view.is_blind(now_ns, painted_ns)
 
     return look
 

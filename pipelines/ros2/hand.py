@@ -128,7 +128,9 @@ class Ros2Hand:
             max(-1.0, min(1.0, place + moved))
             for place, moved in zip(self._places, self._moved, strict=True)
         )
-        return PageInput(self._held, x, y, self._buttons, self._sequence, heard_ns, tuple(more))
+        return PageInput(
+            self._held, x, y, self._buttons, self._sequence, heard_ns, more=tuple(more)
+        )
 
     def _move(self, step_ns: int) -> None:
         for at, (name, half) in enumerate(zip(self._names, self._halves, strict=True)):

@@ -8,7 +8,7 @@
 | 4 | preview | preview 1, width 2, height 2, 0 2, capture (µs) 8; then I420 |
 | 5 | pong | 0 7, page's instant (ms) 8, the session's instant (µs) 8 |
 | 0x81 | ping | 0 7, page's instant (ms) 8 |
-| 0x82 | hand | flags 1, buttons 2, sequence 4, x 4, y 4, page's instant (ms) 8 |
+| 0x82 | hand | flags 1, buttons 2, sequence 4, x 4, y 4, capture of the painted picture (µs) 8 |
 | 0x83 | own picture | input 1, width 2, height 2, 0 2, capture (page's ms) 8; then I420 |
 | 0x84 | own sound | input 1, samples 2, sequence 4, first sample (page's ms) 8; then int16 |
 
@@ -27,7 +27,7 @@ from kontur_av.clock import NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import BLOCK_SAMPLES, I420
 from telepresence.haptics.axes import AXIS_NAMES
-from telepresence.haptics.device.page import PageInput
+from telepresence.haptics.device.page import NO_PICTURE, PageInput
 
 UNIT, SOUND, HAPTIC, PREVIEW, PONG = 1, 2, 3, 4, 5
 PING, HAND, OWN_PICTURE, OWN_SOUND = 0x81, 0x82, 0x83, 0x84
@@ -138,14 +138,15 @@ def parse_seat_message(data: bytes, now_ns: int) -> Ping | PageInput:
     axes, rest = divmod(len(data) - _HAND.size, 4)
     if rest or not 0 <= axes <= len(AXIS_NAMES):
         raise ProtocolError(f"a hand of {len(data)} octets")
-    _, flags, buttons, sequence, x, y, page_ms = _HAND.unpack_from(data)
+    _, flags, buttons, sequence, x, y, picture_us = _HAND.unpack_from(data)
     more = struct.unpack_from(f"<{axes}f", data, _HAND.size)
     # A NaN fails the comparisons, too.
-    if not (all(-1.0 <= share <= 1.0 for share in (x, y, *more)) and isfinite(page_ms)):
+    if not (all(-1.0 <= share <= 1.0 for share in (x, y, *more)) and isfinite(picture_us)):
         raise ProtocolError("a hand out of its range")
     if flags & ~_DEAD_MAN:
         raise ProtocolError(f"a hand with unknown flags {flags}")
-    return PageInput(bool(flags & _DEAD_MAN), x, y, buttons, sequence, now_ns, more)
+    picture_ns = round(picture_us) * NS_PER_US if picture_us >= 0.0 else NO_PICTURE
+    return PageInput(bool(flags & _DEAD_MAN), x, y, buttons, sequence, now_ns, picture_ns, more)
 
 
 def parse_media_message(

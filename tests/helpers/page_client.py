@@ -34,7 +34,7 @@ def unit_of(message):
 
 
 def hand(sequence, *, dead_man=True, x=0.0, y=0.0):
-    return struct.pack("<BBHIffd", 0x82, dead_man, 0, sequence, x, y, 1.0)
+    return struct.pack("<BBHIffd", 0x82, dead_man, 0, sequence, x, y, -1.0)
 
 
 class Page:

@@ -67,7 +67,7 @@ def test_no_trouble_of_a_partners_leg_reaches_the_link(start, tmp_path):
     whole = [one for unit in pictures(uplink) for one in decoder.decode(unit.data, unit.timestamp)]
     assert len(whole) > 15
     rtc, channels = report["rtc"], report["recorder"]["channels"]
-    assert (rtc["connections"], rtc["route"]) == (3, "host to host")
+    assert rtc["connections"] >= 3 and rtc["route"] == "host to host"
     for name in ("rtc_camera/received", "rtc_voice/received", "rtc_video/sent"):
         assert channels[f"/{name}"]["kept"] > 10, name
     # Nothing is lost, and no key picture was asked of the ISS's encoder.

@@ -124,9 +124,15 @@ export class Connection {
     });
   }
 
+  /**
+   * When the picture was captured by which the person steers, as the page has painted it; 0 if it
+   * has painted none yet, -1 if it shows none.
+   */
+  paintedUs = -1;
+
   /** Says what the hand does; while it is held, at least every 100 ms. @param {Hand} hand */
   sendHand(hand) {
-    this.#tell({ kind: "hand", hand });
+    this.#tell({ kind: "hand", hand, pictureUs: this.paintedUs });
   }
 
   /** From now on the blocks of this voice go to `port`. @param {string} stream @param {MessagePort} port */

@@ -75,6 +75,7 @@ export class PictureView extends HTMLElement {
     connection.on("hello", (hello) => {
       const stream = hello.streams.find((one) => this.#shows(one));
       this.#absent = stream === undefined;
+      if (this.#steers) connection.paintedUs = this.#absent ? -1 : 0;
       this.#staleAfterMs = stream?.stale_after_ms ?? STALE_AFTER_MS;
       this.#tick();
     });
@@ -89,6 +90,11 @@ export class PictureView extends HTMLElement {
     const ageMs = (nowUs - this.#captureUs) / 1000;
     this.#ahead = ageMs < -FUTURE_MS;
     return this.#ahead ? null : Math.max(0, ageMs);
+  }
+
+  /** Whether a person steers by this picture. */
+  get #steers() {
+    return this.#shows({ name: "uplink_video", via: "coded" });
   }
 
   /** @param {{name: string, via: string}} stream */
@@ -110,8 +116,15 @@ export class PictureView extends HTMLElement {
     this.drawn += 1;
     this.#captureUs = captureUs;
     this.#drawnMs = pageMs();
+    // A page that is hidden or stands still paints nothing, whatever it draws.
+    if (this.#steers) requestAnimationFrame(() => this.#handlePainted(captureUs));
     if (this.#damage.hidden === damaged) this.#damage.hidden = !damaged;
     if (this.stale) this.#tick();
+  }
+
+  /** @param {number | null} captureUs */
+  #handlePainted(captureUs) {
+    if (this.#seat !== null) this.#seat.connection.paintedUs = captureUs ?? 0;
   }
 
   /** Why no new picture comes, as far as is known. */

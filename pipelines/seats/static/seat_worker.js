@@ -123,6 +123,7 @@ class Seat {
   #soundPorts = new Map();
   #hand = new HandSender();
   #handNumber = 0;
+  #pictureUs = -1;
   /** @type {ReturnType<typeof setInterval> | undefined} */
   #handTimer;
 
@@ -168,6 +169,7 @@ class Seat {
         this.#soundPorts.set(note.stream, note.port);
         break;
       case "hand":
+        this.#pictureUs = note.pictureUs;
         this.#hand.handleHand(note.hand, pageMs());
         this.#sendHand();
         break;
@@ -273,7 +275,7 @@ class Seat {
         (!hand.deadMan || socket.bufferedAmount < MOST_UNSENT_OCTETS)
       ) {
         this.#handNumber += 1;
-        socket.send(writeHand(hand, this.#handNumber, pageMs()));
+        socket.send(writeHand(hand, this.#handNumber, this.#pictureUs));
       }
     }
     if (wasHeld && this.#hand.pressAnew) tell({ kind: "let_go" });

@@ -5,7 +5,6 @@
  * @import { StudyFrame, StudyShown } from "./texts.js"
  * @import { Hand } from "./wire.js"
  */
-import { pageMs } from "./page_clock.js";
 import { writeHand } from "./wire.js";
 
 const AGAIN_MS = 1000;
@@ -60,7 +59,7 @@ export class StudyLink extends EventTarget {
   /** @param {Hand} hand */
   sendHand(hand) {
     this.#sequence += 1;
-    this.#send(writeHand(hand, this.#sequence, pageMs()));
+    this.#send(writeHand(hand, this.#sequence, -1));
   }
 
   /** The handle needs not be asked for. */

@@ -182,8 +182,12 @@ export function writePing(pageMs) {
  * @property {number[]} [more] Wanted places of the axes behind x and y, -1 to 1.
  */
 
-/** @param {Hand} hand @param {number} sequence @param {number} pageMs */
-export function writeHand(hand, sequence, pageMs) {
+/**
+ * @param {Hand} hand @param {number} sequence
+ * @param {number} pictureUs When the picture was captured that is painted, on the session's clock;
+ *   0 if none is yet, -1 if the page shows none.
+ */
+export function writeHand(hand, sequence, pictureUs) {
   const more = hand.more ?? [];
   const message = new ArrayBuffer(HAND_OCTETS + 4 * more.length);
   const view = new DataView(message);
@@ -194,7 +198,7 @@ export function writeHand(hand, sequence, pageMs) {
   view.setUint32(4, sequence >>> 0, true);
   view.setFloat32(8, hand.x, true);
   view.setFloat32(12, hand.y, true);
-  view.setFloat64(16, pageMs, true);
+  view.setFloat64(16, pictureUs, true);
   return message;
 }
 

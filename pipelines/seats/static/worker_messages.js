@@ -43,7 +43,7 @@
  * @typedef {{kind: "request", text: string}
  *   | {kind: "drawn", stream: number}
  *   | {kind: "sound_port", stream: string, port: MessagePort}
- *   | {kind: "hand", hand: Hand}} PageNote
+ *   | {kind: "hand", hand: Hand, pictureUs: number}} PageNote
  */
 
 export {};

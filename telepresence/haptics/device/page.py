@@ -24,6 +24,9 @@ FACTS = replace(SIMULATED_FACTS, name="browser page")
 #: 8 N heat them by 32 K, which is below the supervision's warning.
 GRIP = HandModel(stiffness_n_m=250.0, damping_n_s_m=15.0, mass_kg=0.2, push_n=8.0)
 
+#: Of a hand whose page shows no picture of the robot.
+NO_PICTURE = -1
+
 _SEQUENCES = 1 << 32
 _BUTTONS = (1 << FACTS.buttons) - 1
 
@@ -36,6 +39,8 @@ class PageInput(NamedTuple):
     buttons: one bit for each pressed button, 0x1 for the first.
     sequence: counts the inputs of a page, modulo 2^32.
     received_ns: when the page's process received it, on the session's clock.
+    picture_ns: when the picture was captured that the page has painted last; 0 if it has painted
+    none, `NO_PICTURE` if it shows none.
     more: wanted places of the axes behind x and y, from -1 to 1 of their half ranges.
     """
 
@@ -45,6 +50,7 @@ class PageInput(NamedTuple):
     buttons: int = 0
     sequence: int = 0
     received_ns: int = 0
+    picture_ns: int = NO_PICTURE
     more: tuple[float, ...] = ()
 
 
@@ -164,6 +170,11 @@ class PageDevice(Mechanics):
             "",
         )
         return tuple.__new__(JoystickReading, reading)
+
+    @property
+    def picture_ns(self) -> int:
+        """As the newest input has it."""
+        return NO_PICTURE if self._newest is None else self._newest.picture_ns
 
     @property
     def _asked(self) -> bool:

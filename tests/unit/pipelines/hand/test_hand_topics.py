@@ -18,7 +18,7 @@ from telepresence.haptics.ownership import HapticOwnership, Owner
         st.booleans(),
         *[st.floats(allow_nan=False)] * 2,
         *[st.integers(0, 2**32 - 1)] * 2,
-        st.integers(0, 2**63 - 1),
+        *[st.integers(0, 2**63 - 1)] * 2,
         st.lists(st.floats(-1, 1), max_size=5).map(tuple),
     ),
     st.sampled_from(sorted(REQUESTS, key=lambda one: one.value)),

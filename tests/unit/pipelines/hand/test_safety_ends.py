@@ -31,6 +31,16 @@ def test_the_robot_counts_a_picture_of_the_future_as_too_old():
     assert view.is_blind(NS_PER_S)
 
 
+@pytest.mark.rule("S5")
+def test_the_older_counts_of_what_the_display_and_the_page_have_painted():
+    view = OperatorView(BUILT_IN["taskboard"])
+    assert view.is_blind(NS_PER_S, painted_ns=NS_PER_S)
+    view.handle_shown(NS_PER_S, 40 * MS)
+    assert not view.is_blind(NS_PER_S, painted_ns=NS_PER_S - 40 * MS)
+    # It paints an old picture, or has painted none.
+    assert view.is_blind(NS_PER_S, painted_ns=1) and view.is_blind(NS_PER_S, painted_ns=0)
+
+
 class TwoMachines:
     """A hand in space that leads a robot on the ground; each machine keeps its own stop."""
 

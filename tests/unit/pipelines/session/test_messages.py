@@ -22,8 +22,8 @@ def block(index=1, samples=960, page_ms=5.5, octets=2 * 960):
     return struct.pack("<BBHId", 0x84, index, samples, 7, page_ms) + bytes(octets)
 
 
-def hand(dead_man=1, x=0.5, y=-1.0, page_ms=5.5):
-    return struct.pack("<BBHIffd", 0x82, dead_man, 3, 9, x, y, page_ms)
+def hand(dead_man=1, x=0.5, y=-1.0, picture_us=5.0):
+    return struct.pack("<BBHIffd", 0x82, dead_man, 3, 9, x, y, picture_us)
 
 
 def test_what_pages_are_sent():
@@ -46,7 +46,7 @@ def test_what_pages_are_sent():
 
 def test_what_pages_send():
     assert messages.parse_seat_message(struct.pack("<B7xd", 0x81, 2.5), 1) == messages.Ping(2.5)
-    assert messages.parse_seat_message(hand(), 42) == PageInput(True, 0.5, -1.0, 3, 9, 42)
+    assert messages.parse_seat_message(hand(), 42) == PageInput(True, 0.5, -1.0, 3, 9, 42, 5000)
     shown, heard = picture(), block()
     assert messages.parse_media_message(shown, SIZES) == messages.OwnPicture(
         0, 5.5, memoryview(shown)[16:]
@@ -59,7 +59,7 @@ def test_what_pages_send():
 
 NO_HANDS = [
     *(hand()[:-1], hand() + b"\0", picture(), b"", hand(dead_man=2)),
-    *(hand(x=1.01), hand(y=float("nan")), hand(page_ms=float("inf"))),
+    *(hand(x=1.01), hand(y=float("nan")), hand(picture_us=float("inf"))),
 ]
 NO_MEDIA = [
     *(picture()[:-1], picture() + b"\0", picture()[:15], picture(width=16, height=32)),

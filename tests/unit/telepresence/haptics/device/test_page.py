@@ -256,7 +256,7 @@ def test_a_press_at_the_page_holds_the_axes_where_they_are():
     device = PageDevice(axes=("z",))
     device.show_state(JoystickState.APPLICATION)
     for number, share in enumerate((0.5, 0.5, 0.6), 1):
-        device.handle_input(PageInput(True, 0.0, 0.0, 0, number, device._now_ns, (share,)))
+        device.handle_input(PageInput(True, 0.0, 0.0, 0, number, device._now_ns, more=(share,)))
         for _ in range(60 if number == 2 else 20):
             device.advance(NS_PER_MS)
         place = device.read_more()[0].place
