@@ -351,4 +351,4 @@ def test_no_page_says_that_a_server_is_silent_which_is_heard_again(told):
         ({"kind": "heard"}, False),
     ):
         page.run("worker.tell(arguments[0])", note)
-        assert page.run(f"return {silent}") is says
+        page.wait(f"{silent} === {json.dumps(says)}")

@@ -11,12 +11,13 @@ from contextlib import contextmanager
 
 import av
 import numpy as np
-from browser import eventually
+from browser import PATIENCE_S, eventually
 from numbered_pictures import NumberedPictures, number_of, number_on, write_pictures
 from running_session import RunningSession
 
 OURS_HZ, THEIRS_HZ, SPACE_HZ = 700, 440, 1000
-SECONDS = 60
+#: Longer than all that a test waits for: the server must not end by itself.
+SECONDS = 900
 #: A session that leaves the machine room for a browser.
 ONE_CAMERA = """
 cameras = ["static"]
@@ -78,7 +79,7 @@ def serving(folder, *options):
             yield found[1]
         finally:
             server.send_signal(signal.SIGINT)
-            server.wait(20)
+            server.wait(PATIENCE_S)
 
 
 def test_a_browser_sees_hears_is_seen_and_is_heard(start_browser, tmp_path):
@@ -106,7 +107,7 @@ def test_a_browser_sees_hears_is_seen_and_is_heard(start_browser, tmp_path):
             number = number_seen(page, "main")
             if number is not None:
                 # What the browser shows was drawn, and in this order.
-                assert max(seen, default=0) <= number <= ours.newest
+                assert max(seen, default=0) <= number <= ours.newest + 1
                 seen.add(number)
             return len(seen) >= 5
 
@@ -122,11 +123,12 @@ def test_a_browser_sees_hears_is_seen_and_is_heard(start_browser, tmp_path):
         (stream,) = file.streams.audio
         samples = np.concatenate([frame.to_ndarray()[0] for frame in file.decode(stream)])
         rate_hz = stream.rate
-    # The middle: in the beginning the browser's gain control may still move.
-    middle = samples[len(samples) // 2 :][: rate_hz // 2]
-    assert abs(loudest_hz(middle, rate_hz) - THEIRS_HZ) < 10
+    # Not all of it: a busy machine has gaps, and at first the browser's gain control moves.
+    parts = np.array_split(samples, len(samples) * 4 // rate_hz)
+    assert any(abs(loudest_hz(part, rate_hz) - THEIRS_HZ) < 10 for part in parts)
     report = json.loads((tmp_path / "report.json").read_text())
-    assert report["connections"] == 2
+    # The page connects anew after a stall.
+    assert report["connections"] >= 2
     assert report["failed"] == []
     # Each picture that was decoded is in the file, to the last.
     assert report["pictures"]["decoded"] == len(list(pictures_of(raw)))

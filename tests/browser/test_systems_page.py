@@ -20,7 +20,7 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
     monkeypatch.setenv("KONTUR_AV_STATUS", str(status))
     ends = tmp_path / "ends"
     (ends / "ground").mkdir(parents=True)
-    (ends / "ground" / "image.bin").write_bytes(Random(1).randbytes(8_000))
+    (ends / "ground" / "image.bin").write_bytes(Random(1).randbytes(16_000))
     joystick = ends / "space" / "joystick"
     joystick.mkdir(parents=True)
     (joystick / TOLD).write_bytes(UpdateInbox(("copy",)).told("sd/2", "run", {"sd/1": "valid"}))
@@ -49,7 +49,7 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
         put = Transfer(session, "put", "image.bin")
         page.wait(SAYS.format("transfer-table", "put image.bin"))
         page.wait(SAYS.format("transfer-table", "running"))
-        assert session.ask("trainer", "los", "3").returncode == 0
+        assert session.ask("trainer", "los", "8").returncode == 0
         page.wait(SAYS.format("transfer-table", "suspended"))
         page.wait(SAYS.format("transfer-table", "running"))
 

@@ -2,23 +2,32 @@
 
 import asyncio
 import json
+import time
 
 import pytest
+from common import PATIENCE_S
 from janus_room import Audience
 from programs import needs
 
 pytestmark = pytest.mark.interop
 
-VIEWERS = 8
+VIEWERS, FPS = 8, 15
 
 
 def test_a_picture_that_goes_in_once_comes_out_to_many_viewers(tmp_path):
     needs("janus")
 
     async def watched():
-        options = ["--video", "scene:static", "--size", "320x240", "--fps", "15"]
+        began_s = time.monotonic()
+        options = ["--video", "scene:static", "--size", "320x240", "--fps", str(FPS)]
         async with Audience(tmp_path, *options, "--video-kbps", "200") as audience:
             await audience.add_viewers(VIEWERS)
+            # Until they have shown more than could be coded, however late they came.
+            async with asyncio.timeout(PATIENCE_S):
+                while sum(one.pictures for one in audience.viewers) <= (
+                    2 * FPS * (time.monotonic() - began_s)
+                ):
+                    await asyncio.sleep(0.1)
             pictures = [viewer.pictures for viewer in audience.viewers]
             await audience.end_sender()
             return audience.door.offers, pictures, [one.decoded for one in audience.viewers]

@@ -185,11 +185,14 @@ def test_a_server_that_comes_late_gets_the_stream_from_a_key_picture_on(tmp_path
     url = f"rtsp://127.0.0.1:{free_pair()}/arm"
     with (
         receiving(tmp_path, url) as receiver,
-        sending(tmp_path, receiver.port, seconds=6) as sender,
+        sending(tmp_path, receiver.port, seconds=600) as sender,
     ):
         wait_for_line(receiver, "Connection refused; tried again every second")
         with ffmpeg(url, "-rtsp_flags", "listen") as server:
             wait_for_line(receiver, "the stream goes there")
+            enough = 40 * PICTURE_OCTETS
+            eventually(lambda: os.fstat(server.data.fileno()).st_size > enough, "40 pictures")
+            sender.send_signal(signal.SIGINT)
             finish(sender)
             finish(receiver)
             report = json.loads(receiver.report.read_text())

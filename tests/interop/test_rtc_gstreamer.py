@@ -75,6 +75,8 @@ def test_it_watches_publishes_and_stalls_alone(start, tmp_path):
     eventually(lambda: count("sounds") >= 20, "our voice in GStreamer")
     # A viewer that stalls holds up nobody, and sees the present when it goes on.
     stalls.send_signal(signal.SIGSTOP)
+    state = Path(f"/proc/{stalls.pid}/status")
+    eventually(lambda: "T (stopped)" in state.read_text(), "its stop")
     seen, others = count("pictures"), count("pictures", "other")
     eventually(lambda: count("pictures", "other") > others + 10, "the other's pictures")
     assert count("pictures") == seen

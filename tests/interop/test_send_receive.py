@@ -34,8 +34,8 @@ def assert_is_the_film(path) -> None:
     """Assert that the raw file's pictures are those of the film, the last ones in order.
 
     A player that comes late has no key picture, and is healed by the waves of intra refresh within
-    3 s. Pictures may be missing or repeated, because it follows the clock of a busy machine. Where
-    the film begins anew, they are coarse for a while.
+    3 s. Pictures may be missing or repeated, because it follows the clock of a busy machine: one
+    step may be of any length. Where the film begins anew, they are coarse for a while.
     """
     pictures = np.fromfile(path, np.uint8).reshape(-1, HEIGHT * 3 // 2, WIDTH)[-30:, :HEIGHT]
     film = [scene(number)[:HEIGHT] for number in range(60)]
@@ -43,7 +43,7 @@ def assert_is_the_film(path) -> None:
     best, shown = quality.max(axis=1), quality.argmax(axis=1)
     assert np.median(np.sort(best)[-10:]) > 28, best
     steps = np.diff(shown[-10:]) % 60
-    assert max(steps) < 30 and sum(steps) > 0, shown
+    assert sorted(steps)[-2] < 30 and sum(steps) > 0, shown
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """A stream whose coded size grows and shrinks, received by plain GStreamer and FFmpeg."""
 
+import re
 import socket
 import subprocess
 import time
@@ -98,11 +99,17 @@ def test_it_goes_on_through_each_size(name, stream, tmp_path):
     ):
         bound = Path("/proc/net/udp")
         eventually(lambda: f":{port:04X} " in bound.read_text() or process.poll(), "the receiver")
+
+        def waiting_octets():
+            found = re.search(rf":{port:04X} \S+ \S+ \w+:(\w+)", bound.read_text())
+            return int(found[1], 16) if found else 0
+
         for picture in packets:
             for packet in picture:
                 sender.sendto(packet, ("127.0.0.1", port))
-            # Faster than real time, but no faster than a decoder.
+            # Faster than real time, but no faster than a decoder, also one that stalls.
             time.sleep(0.008)
+            eventually(lambda: waiting_octets() < 30_000, "the decoder")
         try:
             output, _ = process.communicate(timeout=PATIENCE_S)
         finally:

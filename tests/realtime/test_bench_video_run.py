@@ -16,7 +16,7 @@ def test_a_short_run_gives_figures(name, tmp_path, capsys):
     if (reason := CONTENDERS[name].missing()) is not None:
         pytest.skip(reason)
     report, plot = tmp_path / "figures.json", tmp_path / "latency.png"
-    options = ["--seconds", "2", "--size", "320x240", "--report", str(report), "--plot", str(plot)]
+    options = ["--seconds", "8", "--size", "320x240", "--report", str(report), "--plot", str(plot)]
     if name == OURS:
         assert main(["bench", "video", *options]) == 0
     else:
@@ -30,7 +30,7 @@ def test_a_short_run_gives_figures(name, tmp_path, capsys):
     found = rate["scene"][name]
     latencies = found["latencies_ms"]
     # The machine decides how many pictures come and how late, but some come, and none early.
-    assert 0 < len(latencies) <= 60
+    assert 0 < len(latencies) <= 240
     assert min(latencies) > 0
     assert found["latency_ms"]["max"] == pytest.approx(max(latencies), abs=0.001)
     assert found["unreadable"] == 0

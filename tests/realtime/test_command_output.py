@@ -13,10 +13,9 @@ from synthetic_recording import write_recording
 COMMANDS = [("topology", "--setup", "taskboard"), ("doctor",)]
 
 
-def start(*words, **options):
-    return subprocess.Popen(
-        [sys.executable, "-m", "pipelines.cli", *words], stderr=subprocess.PIPE, **options
-    )
+def start(*words, program=("-m", "pipelines.cli"), **options):
+    command = [sys.executable, *program, *words]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, **options)
 
 
 def ended(process) -> tuple[int, str]:
@@ -87,11 +86,21 @@ def test_a_recording_that_becomes_shorter_is_a_failure_with_one_line(words, tmp_
     assert done.stderr.count("\n") == 1
 
 
+#: Its tables do not end by themselves.
+ENDLESS = """
+import sys, time
+from pipelines.recording.export import table_files
+table_files.CsvFile.close = lambda file: time.sleep(90)
+from pipelines.cli import main
+sys.exit(main())
+"""
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_an_export_that_is_ended_leaves_nothing(number, tmp_path):
     write_recording(tmp_path / "a.mcap")
     words = ["export", "a.mcap", "--csv", "out", "--lerobot", "set"]
-    process = start(*words, stdout=subprocess.DEVNULL, cwd=tmp_path)
+    process = start(*words, program=("-c", ENDLESS), stdout=subprocess.DEVNULL, cwd=tmp_path)
     eventually(lambda: [*tmp_path.glob("out/*.unfinished")], "a table", pause_s=0.001)
     child = children_of(process.pid)
     process.send_signal(number)

@@ -8,7 +8,8 @@ import pytest
 from file_transfer import Transfer
 from running_session import RunningSession, assert_sound, eventually
 
-DOWN = Random(1).randbytes(60_000)
+#: Some seconds, in which another command can begin.
+DOWN = Random(1).randbytes(200_000)
 UP = Random(2).randbytes(1_500)
 #: It takes more than a minute, so that a slow machine can still cancel it.
 LONG = bytes(3_000_000)
@@ -36,8 +37,11 @@ def test_files_go_both_ways_across_a_loss_of_signal(session, ends):
     down = Transfer(session, "put", "down.bin", "kept/down.bin", "--from", "space")
     up = Transfer(session, "put", "up.bin")
     down.until("running")
-    assert session.ask("trainer", "los", "2").returncode == 0
-    down.until("suspended")
+
+    def suspended():
+        return session.ask("trainer", "los", "2").returncode == 0 and "suspended" in down.said()
+
+    eventually(suspended, "the loss of signal", pause_s=0.5)
     assert (down.end(), up.end()) == (0, 0), (down.said(), up.said())
     assert (ground / "kept" / "down.bin").read_bytes() == DOWN
     assert (space / "up.bin").read_bytes() == UP
@@ -47,8 +51,12 @@ def test_a_transfer_is_cancelled_by_ctrl_c_or_by_its_number(session, ends):
     for number, ended in enumerate((130, 1)):
         cut = Transfer(session, "put", "long.bin", "cut.bin", "--from", "space")
         cut.until("running")
-        (line,) = session.ask("file", "status", "--from", "space").stdout.splitlines()[1:]
-        assert line.split()[1:3] == ["put", "running"]
+
+        def running():
+            (line,) = session.ask("file", "status", "--from", "space").stdout.splitlines()[1:]
+            return line if line.split()[1:3] == ["put", "running"] else ""
+
+        line = eventually(running, "its line")
         if number == 0:
             cut.interrupt()
         else:
@@ -75,9 +83,10 @@ def test_the_other_ends_directory_is_listed_renamed_and_removed_in(session, ends
 
 
 def test_a_killed_receiver_gets_the_file_again_and_media_waited_for_no_file(session, ends):
+    pid = session.pids()["files_ground"]
     down = Transfer(session, "get", "down.bin", "again.bin")
     down.until("running")
-    os.kill(session.pids()["files_ground"], signal.SIGKILL)
+    os.kill(pid, signal.SIGKILL)
     # Who asked it for the file hears nothing more.
     assert down.end() != 0
     again = ends[0] / "again.bin"

@@ -189,11 +189,12 @@ def test_a_killed_gateway_is_restarted_and_reported(start, program):
 def test_it_ends_by_itself_and_two_do_not_share_ports(start, capsys):
     from pipelines.cli import main
 
-    link = start("--setup", "taskboard", "--seconds", "2", "-q")
+    link = start("--setup", "taskboard", name="endless")
     eventually(lambda: len(link.children()) == 2, "the start")
     assert main(["link", "--setup", "taskboard", "--base-port", str(link.base_port)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "busy" in line
+    link = start("--setup", "taskboard", "--seconds", "2", "-q")
     code, report = link.end()
     assert (code, link.output()) == (0, "")
     assert report["seconds"] >= 2

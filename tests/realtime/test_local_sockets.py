@@ -7,9 +7,10 @@ from contextlib import closing
 
 import msgspec
 import pytest
+from common import PATIENCE_S
 
 from kontur_av.errors import ConfigError
-from pipelines.session import datagrams
+from pipelines.session import datagrams, terminals
 from pipelines.session.sessions import hold_session
 from pipelines.session.terminals import ask_desk, desk_path, running_sessions
 
@@ -102,6 +103,7 @@ def directory(monkeypatch):
     """Not tmp_path, because the path of a socket must be short."""
     with tempfile.TemporaryDirectory(prefix="kav") as path:
         monkeypatch.setenv("TMPDIR", path)
+        monkeypatch.setattr(terminals, "_PATIENCE_S", PATIENCE_S)
         yield path
 
 
@@ -149,7 +151,7 @@ def desk(directory):
                 except OSError:
                     return
                 with link:
-                    link.settimeout(5)
+                    link.settimeout(PATIENCE_S)
                     line = link.makefile("rb").readline()
                     if line:
                         asked.append(line)

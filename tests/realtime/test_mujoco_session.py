@@ -73,8 +73,8 @@ def test_a_strangers_arm_runs_a_session(start, tmp_path):
     shutil.copy(SAMPLES / "strangers_arm.py", tmp_path)
     session = start("taskboard", "--robot", "strangers_arm:Fetch", "--record", "run.mcap")
     session.wait_for_flow(["haptic_up"])
-    assert session.ask("tc", "robot", "power_off").returncode == 0
-    assert session.ask("tc", "robot", "power_on").returncode == 0
+    for order in ("power_off", "power_on"):
+        eventually(lambda order=order: session.ask("tc", "robot", order).returncode == 0, order)
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     assert report["haptic"]["up"]["received"] > 0

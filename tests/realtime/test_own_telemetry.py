@@ -61,13 +61,13 @@ def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_pa
             while (lease := reader.next()) is not None:
                 with lease:
                     heard.append(unpack_news(lease.octets()))
-            return any(
+            # A stalled reader loses news, and hears them when it sinks again.
+            return any(isinstance(one, Reported) and one.name == "low" for one in heard) and any(
                 isinstance(one, CommandUpdate) and one.client.startswith("battery ") and one.ok
                 for one in heard
             )
 
         eventually(recharged, "the event and the action")
-    assert any(isinstance(one, Reported) and one.name == "low" for one in heard)
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     battery = report["telemetry"]["battery"]

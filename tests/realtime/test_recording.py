@@ -114,10 +114,11 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
         if "joystick_state" in packet and packet["SERVICE"] == 3
     ]
     assert states and {*states} <= {one.words for one in JoystickState}
-    # Each sample of the hand has a number, and none is missing.
+    # Each sample of the hand has a number, and none is missing that is not counted.
     rows = [unpack_haptics(data)["sequence"] for data in octets("/haptic/down/sent")]
     numbers = np.concatenate(rows)
-    assert (np.diff(numbers[numbers >= 0]) % 65_536 == 1).all()
+    gaps = (np.diff(numbers[numbers >= 0]) % 65_536 != 1).sum()
+    assert gaps <= report["recorder"]["channels"]["/haptic/down/sent"]["dropped"]
     films, tables = tmp_path / "films", tmp_path / "tables"
     assert main(["export", str(path), "--mkv", str(films), "--csv", str(tables)]) == 0
     with (tables / "haptic_down_sent.csv").open() as lines:
@@ -135,7 +136,7 @@ def test_a_killed_recorder_goes_on_in_a_new_part(start, tmp_path):
     session = start("taskboard", "--record", str(path))
     pids = session.pids()
     session.wait_for_flow()
-    eventually(lambda: path.stat().st_size > 100_000, "a second in the file")
+    eventually(lambda: path.exists() and path.stat().st_size > 100_000, "a second in the file")
     os.kill(pids["recorder"], signal.SIGKILL)
     eventually(lambda: second.exists() and second.stat().st_size > 100_000, "a second part")
     code, report = session.interrupt()
@@ -162,9 +163,10 @@ def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
     assert scanned(first)[0].figures.sound
     again = record(session, first, "--seconds", "1")
     assert again.returncode == 2 and "--overwrite" in again.stderr
-    replaced = record(session, first, *["--seconds", "1.5", "--part-seconds", "1", "--overwrite"])
+    replaced = record(session, first, *["--seconds", "3", "--part-seconds", "1", "--overwrite"])
     assert replaced.returncode == 0, replaced.stdout + replaced.stderr
-    assert [scanned(part)[2].part for part in parts_of(first)] == [1, 2]
+    parts = [scanned(part)[2].part for part in parts_of(first)]
+    assert parts == [*range(1, len(parts) + 1)] != [1]
     nowhere = record(session, tmp_path / "none" / "c.mcap")
     assert nowhere.returncode == 2 and nowhere.stderr.count("\n") == 1
     # A terminal that is killed does not end the session, but its recording.
@@ -179,7 +181,7 @@ def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
-    assert report["recorder"]["parts"] == 4
+    assert report["recorder"]["parts"] == 2 + len(parts)
 
 
 def test_a_full_disk_does_not_end_the_session(start, tmp_path, monkeypatch):

@@ -88,19 +88,28 @@ def test_after_a_stall_of_an_end_the_robot_holds_until_a_new_press(start, monkey
     pids = session.pids()
     with session.bus(monkeypatch) as bus:
         tip = Tip(bus)
-        for name in ("joystick", "robot"):
+
+        def holds(name):
             tip.wait_until_it_moves()
             os.kill(pids[name], signal.SIGSTOP)
             # Longer than after which a new press is needed.
             time.sleep(0.5)
+            begin_s = time.monotonic()
             os.kill(pids[name], signal.SIGCONT)
             tip.place()
-            # The simulated hand lets go for half a second, before it presses anew.
-            assert tip.holds(300), name
+            # The simulated hand lets go for half a second, before it presses anew. A test that
+            # was itself stalled for as long looks again.
+            held = tip.holds(300)
+            assert held or time.monotonic() - begin_s > 0.5, name
+            return held
+
+        for name in ("joystick", "robot"):
+            eventually(lambda one=name: holds(one), f"a look at the stalled {name}")
         tip.wait_until_it_moves()
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
-    assert report["safety"]["presses"] == 3
+    # A stall of the machine needs one, too.
+    assert report["safety"]["presses"] >= 3
     # The joystick has calibrated itself once.
     joystick = report["joystick"]
     log = [entry["state"] for entry in joystick["log"]]

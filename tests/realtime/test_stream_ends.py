@@ -15,7 +15,7 @@ from kontur_av.media import Quality
 GREY = np.full((96, 128, 3), 90, np.uint8)
 
 #: So many pictures at most: under load a receiver may begin late, and need a key picture first.
-MOST = 1500
+MOST = 10_000
 
 
 def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):

@@ -20,8 +20,6 @@ files = ["short.xml"]
 [[task]]
 name = "reach"
 [[task]]
-name = "aiming"
-[[task]]
 name = "roam"
 """
 #: A task that ends soon, and one that does not end by itself during the test.
@@ -124,7 +122,7 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
         eventually(lambda: not watched.see(RobotStatus).powered, "the robot without power")
         assert watched.see(RobotStatus).life == life
         listed = session.ask("task", "list").stdout
-        assert "run 2 aiming: aborted: the task's process was restarted" in listed
+        assert "run 2 roam: aborted: the task's process was restarted" in listed
         eventually(lambda: watched.see(ExperimentShown).run == 3, "run 3")
         assert session.ask("task", "select", "line").returncode == 1
         aborted = session.ask("task", "abort")
@@ -141,8 +139,8 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
     files = sorted(runs.iterdir())
     assert [path.name for path in files] == [
         "run-001-reach.mcap",
-        "run-002-aiming.mcap",
-        "run-003-aiming.mcap",
+        "run-002-roam.mcap",
+        "run-003-roam.mcap",
     ]
     assert report["processes"]["tasks"]["counts"]["unrecorded"] == 0
     for path in files:

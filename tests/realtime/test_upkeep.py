@@ -91,7 +91,7 @@ def test_a_person_confirms_the_version_that_runs_and_removes_another(tmp_path, t
         eventually(lambda: trace() == ["first"])
         versions.do("start", "v1")
         eventually(lambda: trace()[-1] == "v1")
-        assert versions.states()["v1"] == "new runs"
+        eventually(lambda: versions.states()["v1"] == "new runs")
         versions.do("confirm", "v1")
         eventually(lambda: versions.states()["v1"] == "executable runs")
         versions.do("remove", "v2")

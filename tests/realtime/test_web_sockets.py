@@ -15,7 +15,7 @@ from pipelines.session.access import AccessError
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.web_site import WebSite
 
-PATIENCE_S = 20
+PATIENCE_S = 90
 GARBAGE = b"garbage"
 
 

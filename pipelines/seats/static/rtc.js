@@ -103,7 +103,8 @@ function watch(name) {
   });
 }
 
-for (const name of names) watch(name);
+// Before, a video without a picture would keep the page loading.
+addEventListener("load", () => names.forEach(watch));
 
 const sound = one("#sound", HTMLButtonElement);
 sound.addEventListener("click", () => {
