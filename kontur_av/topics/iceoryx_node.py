@@ -4,6 +4,7 @@ import ctypes
 import errno
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,10 @@ class IceoryxNode:
         except iox2.NodeCreationFailure as error:
             # The directory is there and ours, so its disk is full.
             raise OSError(errno.ENOSPC, f"no file can be made there ({error})", str(root)) from None
+        # iceoryx2 lets everybody write to what counts the nodes; who truncates it, hangs them all.
+        for path in SHARED_MEMORY.glob(f"{self._prefix}*.global_mgmt"):
+            with suppress(FileNotFoundError):
+                path.chmod(0o600)
         self._config, self._most_readers, self._most_depth = config, most_readers, most_depth
         self._header_octets = header_octets
         fields = [("words", ctypes.c_uint64 * (header_octets // 8))]

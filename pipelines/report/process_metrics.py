@@ -55,7 +55,7 @@ class _MetricsServer:
     async def _handle(self, request: web.BaseRequest) -> web.Response:
         if request.method not in ("GET", "HEAD"):
             return web.Response(status=HTTPStatus.METHOD_NOT_ALLOWED, headers={"Allow": "GET"})
-        self._door.handle_known(request.transport)
+        self._door.handle_known(request.transport, watches=True)
         if request.path == "/metrics":
             headers = {"Content-Type": CONTENT_TYPE_LATEST}
             return web.Response(body=self._exposition.text(), headers=headers)

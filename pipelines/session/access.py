@@ -263,8 +263,8 @@ def headers(host: str) -> dict[str, str]:
     }
 
 
-#: Connections in all; of strangers in all, and from one address.
-MOST_CONNECTIONS, MOST_STRANGERS, MOST_OF_ADDRESS = 256, 64, 32
+#: Connections in all; of strangers in all, and from one address; of those who only watch.
+MOST_CONNECTIONS, MOST_STRANGERS, MOST_OF_ADDRESS, MOST_WATCHING = 256, 64, 32, 128
 #: A stranger's longest time, and the longest that TLS may take to agree on keys.
 STRANGER_NS = 10 * NS_PER_S
 HANDSHAKE_S = 5.0
@@ -280,7 +280,8 @@ class Doorway:
         self.closed = 0
         #: By number, oldest first: address, and when it came.
         self._strangers: dict[int, tuple[str, int]] = {}
-        self._known: set[int] = set()
+        #: By number, oldest first: whether it only watches.
+        self._known: dict[int, bool] = {}
 
     def __len__(self) -> int:
         return len(self._strangers) + len(self._known)
@@ -296,13 +297,20 @@ class Doorway:
             closing.append(next(iter(self._strangers)))
         return self._close(closing)
 
-    def handle_known(self, number: int) -> None:
-        if self._strangers.pop(number, None) is not None:
-            self._known.add(number)
+    def handle_known(self, number: int, *, watches: bool = False) -> list[int]:
+        """A connection has shown a token; return those to close. watches: the token does no more.
+
+        So who watches never takes the room of who acts.
+        """
+        if self._strangers.pop(number, None) is None:
+            return []
+        self._known[number] = watches
+        watching = [one for one, only in self._known.items() if only]
+        return self._close(watching[: max(0, len(watching) - MOST_WATCHING)])
 
     def handle_closed(self, number: int) -> None:
         self._strangers.pop(number, None)
-        self._known.discard(number)
+        self._known.pop(number, None)
 
     def handle_time(self, now_ns: int) -> list[int]:
         """Return the connections of strangers whose time is over."""
@@ -312,6 +320,6 @@ class Doorway:
 
     def _close(self, closing: list[int]) -> list[int]:
         for number in closing:
-            del self._strangers[number]
+            self.handle_closed(number)
         self.closed += len(closing)
         return closing

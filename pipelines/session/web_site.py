@@ -24,6 +24,7 @@ from pipelines.session.access import (
     AccessKind,
     Doorway,
     Found,
+    Role,
     headers,
 )
 from pipelines.session.page_sockets import PageListener
@@ -68,11 +69,11 @@ class FrontDoor:
         for task in list(self._tasks):
             task.cancel()
 
-    def handle_known(self, transport: object) -> None:
+    def handle_known(self, transport: object, *, watches: bool = False) -> None:
         """The connection of a request with a token is no stranger's."""
         number = self.by_transport.get(transport)
         if number is not None:
-            self._doorway.handle_known(number)
+            self._end(self._doorway.handle_known(number, watches=watches))
 
     def _begin(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.get_running_loop().create_task(work)
@@ -94,15 +95,17 @@ class FrontDoor:
                 await asyncio.sleep(_AGAIN_S)
                 continue
             number = next(self._numbers)
-            visitor = _Visitor(self, number, self._make())
+            visitor = _Visitor(self, number, connection, self._make())
             self._visitors[number] = visitor
             now_ns = self._clock.now_ns()
             self._end(self._doorway.handle_accepted(number, str(address[0]), now_ns))
-            self._begin(self._greet(visitor, connection))
+            self._begin(self._greet(visitor))
 
-    async def _greet(self, visitor: "_Visitor", connection: socket.socket) -> None:
-        loop = asyncio.get_running_loop()
-        visitor.connection = connection
+    async def _greet(self, visitor: "_Visitor") -> None:
+        loop, connection = asyncio.get_running_loop(), visitor.connection
+        if visitor.number not in self._visitors:
+            connection.close()
+            return
         try:
             await loop.connect_accepted_socket(
                 lambda: visitor,
@@ -133,16 +136,21 @@ class FrontDoor:
 class _Visitor(asyncio.Protocol):
     """One connection: hands all on to the server's protocol. Garbage ends this connection only."""
 
-    def __init__(self, door: FrontDoor, number: int, inner: asyncio.BaseProtocol) -> None:
-        self.number = number
+    def __init__(
+        self,
+        door: FrontDoor,
+        number: int,
+        connection: socket.socket,
+        inner: asyncio.BaseProtocol,
+    ) -> None:
+        self.number, self.connection = number, connection
         self.transport: asyncio.Transport | None = None
-        self.connection: socket.socket | None = None
         self._door, self._inner = door, cast(asyncio.Protocol, inner)
 
     def end(self) -> None:
         if self.transport is not None:
             self.transport.abort()
-        elif self.connection is not None:
+        else:
             # TLS has not agreed yet; the shut down socket ends its handshake.
             with suppress(OSError):
                 self.connection.shutdown(socket.SHUT_RDWR)
@@ -218,13 +226,13 @@ class WebSite:
         found = self._access.find(
             request.method, request.raw_path, _host(request), request.headers.get("Origin")
         )
-        self.handle_known(request)
+        self.handle_known(request, watches=found.role is Role.VIEWER)
         return found
 
-    def handle_known(self, request: web.BaseRequest) -> None:
+    def handle_known(self, request: web.BaseRequest, *, watches: bool = False) -> None:
         """A request has shown a token, so its connection is no stranger's."""
         if self._door is not None:
-            self._door.handle_known(request.transport)
+            self._door.handle_known(request.transport, watches=watches)
 
     def refuse(self, refusal: AccessError) -> web.Response:
         if refusal.reason:

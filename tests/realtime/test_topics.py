@@ -261,6 +261,18 @@ def test_without_room_for_its_files_a_bus_says_so(monkeypatch, capsys):
     assert line.endswith("no file can be made there (InternalError): free some room")
 
 
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to become another user")
+def test_another_user_can_open_nothing_of_a_session(session, bus):
+    bus.writer("pictures", max_octets=PICTURE_OCTETS), bus.reader("pictures")
+    paths = [*shared_memory(session), *session_root(session).rglob("*")]
+    assert paths
+    child = os.fork()
+    if not child:
+        os.setuid(65_534)
+        os._exit(sum(os.access(path, os.R_OK) or os.access(path, os.W_OK) for path in paths))
+    assert os.waitpid(child, 0)[1] == 0
+
+
 def test_a_directory_that_others_can_write_to_is_not_used(monkeypatch, tmp_path):
     # Not tmp_path itself, which may be too deep for sockets.
     with tempfile.TemporaryDirectory(prefix="kav") as directory:

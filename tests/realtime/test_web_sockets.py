@@ -2,7 +2,8 @@
 
 import asyncio
 import socket
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
 
 import aiohttp
 import pytest
@@ -11,7 +12,7 @@ from aiohttp import web
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.seats.seat_sockets import SeatSockets
-from pipelines.session.access import AccessError
+from pipelines.session.access import MOST_WATCHING, AccessError
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.web_site import WebSite
 
@@ -19,40 +20,63 @@ PATIENCE_S = 90
 GARBAGE = b"garbage"
 
 
+@asynccontextmanager
+async def served(words):
+    """A site of files: its port, and the site."""
+    bound = socket.create_server(("127.0.0.1", 0))
+    port = bound.getsockname()[1]
+    tokens = {"operator_token": "operator", "viewer_token": "viewer"}
+    listener = PageListener(socket=bound, scheme="http", host="127.0.0.1", port=port, **tokens)
+    site = WebSite(listener, seat="space", others=["panel"])
+
+    async def handle(request, found):
+        return site.file(request, found, words)
+
+    async def close():
+        pass
+
+    async with asyncio.timeout(PATIENCE_S), site.served("test", handle, close):
+        yield f"http://127.0.0.1:{port}", site
+
+
 def asked(*paths, words):
     """Status, header fields and text of each answer, and what was counted."""
 
     async def run():
-        bound = socket.create_server(("127.0.0.1", 0))
-        listener = PageListener(
-            socket=bound,
-            scheme="http",
-            host="127.0.0.1",
-            port=bound.getsockname()[1],
-            operator_token="operator",
-            viewer_token="viewer",
-        )
-        site = WebSite(listener, seat="space", others=["panel"])
-
-        async def handle(request, found):
-            return site.file(request, found, words)
-
-        async def close():
-            pass
-
         found = []
-        async with (
-            asyncio.timeout(PATIENCE_S),
-            site.served("test", handle, close),
-            aiohttp.ClientSession() as client,
-        ):
+        async with served(words) as (base, site), aiohttp.ClientSession() as client:
             for path in paths:
-                url = f"http://127.0.0.1:{listener.port}{path}"
-                async with client.get(url) as answer:
+                async with client.get(base + path) as answer:
                     found.append((answer.status, dict(answer.headers), await answer.text()))
         return found, site.refused
 
     return asyncio.run(run())
+
+
+@pytest.mark.parametrize("path", ["", "/space?token=viewer"])
+def test_neither_strangers_nor_viewers_take_all_connections(path):
+    """They stay open, with a request or without one."""
+
+    def descriptors():
+        return len([*Path("/proc/self/fd").iterdir()])
+
+    async def run():
+        async with served({}) as (base, _), AsyncExitStack() as stack:
+            before, opened = descriptors(), 400
+            for _ in range(opened):
+                port = int(base.rpartition(":")[2])
+                reader, writer = await asyncio.open_connection("127.0.0.1", port)
+                stack.callback(writer.close)
+                if path:
+                    writer.write(f"GET {path} HTTP/1.1\r\nHost: {base[7:]}\r\n\r\n".encode())
+                    await reader.readexactly(15)
+            # Both ends of each are here.
+            while descriptors() > before + opened + MOST_WATCHING:
+                await asyncio.sleep(0.01)
+            async with aiohttp.request("GET", f"{base}/space?token=operator") as answer:
+                assert answer.status == 200
+
+    asyncio.run(run())
 
 
 def test_a_page_names_its_files_by_its_own_token_and_strangers_are_counted():

@@ -137,6 +137,13 @@ def test_idle_strangers_make_room_and_known_connections_stay():
         door.handle_accepted(number, "lan", 2000)
         door.handle_known(number)
     assert len(door) == 101 + access.MOST_STRANGERS - 1
+    # Who only watches makes room for those who came later.
+    closed = []
+    for number in range(2000, 2000 + 1100):
+        door.handle_accepted(number, "viewer", 3000)
+        closed += door.handle_known(number, watches=True)
+    assert closed == list(range(2000, 3100 - access.MOST_WATCHING))
+    assert 4000 not in door.handle_accepted(4000, "operator", 4000)
     # One address has fewer.
     door = access.Doorway()
     door.handle_accepted(0, "other", 0)
