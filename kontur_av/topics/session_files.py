@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import os
+import pwd
 import re
 import shutil
 import stat
@@ -62,6 +63,16 @@ def sessions() -> list[str]:
     return sorted(name for name in names if not name.startswith(".") and shared_memory(name))
 
 
+def _other_users() -> list[str]:
+    """Return the other users who have sessions here, by name, or by number if they have none."""
+    owners = set()
+    for path in SHARED_MEMORY.glob("kontur-av-*"):
+        with suppress(FileNotFoundError):
+            owners.add(path.lstat().st_uid)
+    names = {one.pw_uid: one.pw_name for one in pwd.getpwall()}
+    return [names.get(uid, f"#{uid}") for uid in sorted(owners - {os.getuid()})]
+
+
 def choose_session(name: str | None, running: Sequence[str], how: str = "") -> str:
     """Return the session of `running` that `name` means: its name, or the name of its setup.
 
@@ -71,6 +82,11 @@ def choose_session(name: str | None, running: Sequence[str], how: str = "") -> s
     """
     if not running:
         called = f" {name}" if name else ""
+        if users := _other_users():
+            raise ConfigError(
+                f"no session{called} of yours is running here, but one of user {users[0]}: "
+                f"give the command as that user, such as `sudo -u {users[0]} kontur-av ...`"
+            )
         raise ConfigError(
             f"no session{called} is running here: start one with "
             "`kontur-av stream --setup spacejustin`, "

@@ -2,6 +2,7 @@
 
 import argparse
 
+from kontur_av.errors import ConfigError, refused
 from pipelines.session.command_process import say, stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK, parse_address
 from pipelines.session.option_rows import add_actions
@@ -48,9 +49,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     if args.action == "sfv":
+        if not args.folder.is_dir():
+            raise ConfigError(f"{args.folder} is no folder")
         store = DiskStore(args.folder)
-        files = {name: file for name, file in read_folder(store, "").items() if name != SFV}
-        replace_file(store, SFV, sfv_text(files))
+        with refused(f"{args.folder}", OSError, ValueError):
+            files = {name: file for name, file in read_folder(store, "").items() if name != SFV}
+            replace_file(store, SFV, sfv_text(files))
         return 0
     if args.action == "list":
         say("\n".join(list_lines(DiskStore(args.directory))))

@@ -48,7 +48,7 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
     """The options that say where the session is, and for how long."""
     add_options(
         parser,
-        f"--base-port P <int={Setup.base_port}>  of this user's session",
+        f"--base-port P <port={Setup.base_port}>  of this user's session",
         "--rtc URL  a session across the Internet: what `stream --rtc` prints, up to the port",
     )
     add_token_arguments(parser)

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 if every step is done or skipped; else 1."""
     try:
-        lines = args.script.read_text(encoding="utf-8").splitlines()
+        lines = args.script.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not a text"
         raise ConfigError(f"{args.script}: cannot be read: {reason}") from None

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"--end <{'|'.join(segment.value for segment in Segment)}={Segment.GROUND.value}>  the "
         "session's end that it is joined to (default: ground)",
         "--telemetry SPEC <*>  as of `stream`",
-        f"--http-port PORT <int={_HTTP_PORT}>  of YAMCS",
+        f"--http-port PORT <port={_HTTP_PORT}>  of YAMCS",
     )
 
 

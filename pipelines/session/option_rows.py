@@ -12,7 +12,22 @@ from typing import Any
 
 from kontur_av.errors import ConfigError
 
-_TYPES: dict[str, Callable[[str], Any]] = {"int": int, "float": float, "Path": Path}
+
+def port(text: str) -> int:
+    """Return the number of a port."""
+    number = int(text)
+    if not 0 < number <= _LAST_PORT:
+        raise argparse.ArgumentTypeError(f"no port {number}: take 1 to {_LAST_PORT}")
+    return number
+
+
+_LAST_PORT = 65_535
+_TYPES: dict[str, Callable[[str], Any]] = {
+    "int": int,
+    "float": float,
+    "Path": Path,
+    "port": port,
+}
 #: Rows that several commands have, by their first names.
 _COMMON = {
     row.split()[0].rstrip(","): row
@@ -34,8 +49,8 @@ def add_options(parser: argparse._ActionsContainer, *rows: str) -> None:
     """Add options and positional arguments to a parser, or to a group of it.
 
     A row is `NAMES METAVAR <KIND>  HELP`; an option without METAVAR and KIND is a flag. KIND is
-    `int`, `float`, `Path`, choices as `a|b`, or nothing for text. Then come `!` if it must be
-    given, `*` if it may be repeated, `?` if its value may be left out, `...` for any number of
+    `int`, `float`, `port`, `Path`, choices as `a|b`, or nothing for text. Then come `!` if it must
+    be given, `*` if it may be repeated, `?` if its value may be left out, `...` for any number of
     values, and `=DEFAULT`. Where `?` is of an option, DEFAULT is what it then has. The first name
     alone stands for a common row.
     """

@@ -5,9 +5,11 @@ is the file `run` of a folder; it is watched, and tells its status.
 """
 
 import ctypes
+import errno
 import fcntl
 import os
 import signal
+import stat
 import subprocess
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -137,8 +139,11 @@ class DiskStore(FileStore):
         return sorted(found)
 
     def read(self, path: str) -> bytes:
-        descriptor = os.open(self.root / path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
-        with os.fdopen(descriptor, "rb") as file:
+        # Without blocking: nobody may write to a FIFO.
+        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+        with os.fdopen(os.open(self.root / path, flags), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise OSError(errno.EINVAL, f"{path} is no regular file")
             return file.read()
 
     def is_executable(self, path: str) -> bool:

@@ -230,3 +230,8 @@ class Robot:
         for axis in self.more:
             assert isinstance(axis, SimulatedAxis)
             axis.step(axis.cut_n - brake * axis.speed_m_s, dt_ns)
+
+
+def simulated_robot(*, axes: Sequence[AxisName] = ()) -> Robot:
+    """Return the robot that `sim` names. axes: those behind x and y."""
+    return Robot(axes=axes)

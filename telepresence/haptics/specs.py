@@ -94,7 +94,7 @@ ROBOT_DOOR = PartDoor(
     "sim, udp:HOST:PORT or module:Class",
     "kontur_av.robots",
     {
-        SIMULATED_ROBOT: "telepresence.haptics.robot:Robot",
+        SIMULATED_ROBOT: "telepresence.haptics.robot:simulated_robot",
         UDP: "telepresence.haptics.udp_devices:UdpRobot",
     },
 )

@@ -72,6 +72,9 @@ def test_both_ends_meet_at_the_relay_and_go_on_from_a_new_address(hosts, tmp_pat
         ),
     ):
         eventually(lambda: "page" in (tmp_path / "serve.txt").read_text(), "the server")
+        sockets = (*hosts.prefix("outside"), "cat", "/proc/net/udp")
+        # 3478
+        eventually(lambda: b":0D96 " in subprocess.check_output(sockets), "coturn")
         with running(
             hosts,
             "space",

@@ -14,7 +14,12 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import AudioFrame, CaptureStamp, VideoFrame
 from kontur_av.topics import session_files
 from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.session_files import remove_session, session_root, shared_memory
+from kontur_av.topics.session_files import (
+    choose_session,
+    remove_session,
+    session_root,
+    shared_memory,
+)
 from pipelines.cli import exit_code
 
 PICTURE_OCTETS = 64 * 48 * 3 // 2
@@ -271,6 +276,11 @@ def test_another_user_can_open_nothing_of_a_session(session, bus):
         os.setuid(65_534)
         os._exit(sum(os.access(path, os.R_OK) or os.access(path, os.W_OK) for path in paths))
     assert os.waitpid(child, 0)[1] == 0
+    # And is told whose the session is.
+    for path in shared_memory(session):
+        os.chown(path, 65_534, -1)
+    with pytest.raises(ConfigError, match=r"one of user nobody: .*sudo -u nobody kontur-av"):
+        choose_session(None, [])
 
 
 def test_a_directory_that_others_can_write_to_is_not_used(monkeypatch, tmp_path):

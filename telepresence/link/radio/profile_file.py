@@ -52,7 +52,7 @@ def radio_from_table(table: Mapping[str, Any], folder: Path) -> RadioProfile:
 
 def _read_elements(path: Path) -> str:
     with refused(f"cannot read elements {path}", OSError, UnicodeDecodeError):
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     with refused(f"elements {path}", ConfigError):
         parse_elements(text)
     return text

@@ -238,6 +238,9 @@ REFUSALS = {
         "a.mcap --mat out.mat --csv kept": "events.csv exists: give another name, or --overwrite",
         "alien.mcap --mat out.mat": "is not an MCAP file",
     },
+    "robot check": {"sim:x": "'sim:x' cannot be made"},
+    "yamcs new": {"out --http-port 99999": "--http-port: no port 99999: take 1 to 65535"},
+    "apploader sfv": {"missing": "missing is no folder", "fifos": "fifo is no regular file"},
 }
 ROWS = [
     (f"{command} {words}".strip(), says)
@@ -279,6 +282,8 @@ def _write_keys(folder):
         trusted_path(folder / name).write_text(lines)
         trusted_path(folder / name).chmod(0o620 if name == "lax.pem" else 0o600)
     os.mkfifo(folder / "fifo", 0o600)
+    (folder / "fifos").mkdir()
+    os.mkfifo(folder / "fifos" / "fifo")
 
 
 @pytest.fixture(scope="module")
