@@ -38,6 +38,9 @@ def recorded(path, begin_ms, end_ms):
     """The ground's telemetry of these instants: packets, and values by application and name."""
     recording = JoinedRecording(parts=[read_part(memoryview(path.read_bytes()))])
     packets, values = [], defaultdict(list)
+    applications = built_in_dictionary().applications
+    # Their events are of a session's own processes, and come where one is too busy.
+    supervisors = [one.apid for one in applications if one.name.endswith("supervisor")]
     user = PusUser(built_in_dictionary(), source=1, first_count=0)
     for message in recording.messages():
         if message.schema != SPACE_PACKET.full_name:
@@ -49,7 +52,8 @@ def recorded(path, begin_ms, end_ms):
         if packet is None or not begin_ms * MS <= ns_from_cuc(packet.cuc) < end_ms * MS:
             continue
         packets.append(octets)
-        if packet.service == K2ACI_SERVICE:
+        own = packet.service == 5 and packet.apid in supervisors
+        if packet.service == K2ACI_SERVICE or own:
             continue
         user.handle_telemetry(packet, 0)
         while (event := user.next_event()) is not None:
