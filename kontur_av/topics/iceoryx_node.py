@@ -57,7 +57,7 @@ class IceoryxNode:
         except iox2.NodeCreationFailure as error:
             # The directory is there and ours, so its disk is full.
             raise OSError(errno.ENOSPC, f"no file can be made there ({error})", str(root)) from None
-        # iceoryx2 lets everybody write to what counts the nodes; who truncates it, hangs them all.
+        # iceoryx2 creates this file with mode 0666. Truncating it hangs every process.
         for path in SHARED_MEMORY.glob(f"{self._prefix}*.global_mgmt"):
             with suppress(FileNotFoundError):
                 path.chmod(0o600)

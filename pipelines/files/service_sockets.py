@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import LOOPBACK, Address, bound_socket, resolve
+from pipelines.session.option_rows import LAST_PORT
 from pipelines.session.topology import FILES, Segment
 from telepresence.services.datagrams import MOST_NAME_OCTETS, is_service_name
 from telepresence.services.streams import ServiceStreams, StreamClosed, StreamOpened
@@ -21,7 +22,6 @@ _AT_ONCE = struct.pack("ii", 1, 0)
 #: The options of services.
 LISTEN, ALLOW = "--service", "--service-allow"
 _MOST_SERVICES = 8
-_LAST_PORT = 65_535
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +232,7 @@ def _table(options: Sequence[str], option: str, rest: str, fits: str) -> dict[st
         name, _, value = text.partition("=")
         match = re.fullmatch(rest, value, re.ASCII)
         port = 0 if match is None else int(match[match.lastindex or 0])
-        if match is None or not is_service_name(name) or not 1 <= port <= _LAST_PORT:
+        if match is None or not is_service_name(name) or not 1 <= port <= LAST_PORT:
             raise ConfigError(
                 f"{option} {text}: write {fits}; names have up to {MOST_NAME_OCTETS} of a-z, "
                 "0-9 and -"

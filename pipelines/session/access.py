@@ -300,7 +300,7 @@ class Doorway:
     def handle_known(self, number: int, *, watches: bool = False) -> list[int]:
         """A connection has shown a token; return those to close. watches: the token does no more.
 
-        So who watches never takes the room of who acts.
+        So viewers never take the connections of operators.
         """
         if self._strangers.pop(number, None) is None:
             return []

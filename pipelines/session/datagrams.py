@@ -17,6 +17,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError, refused
 from kontur_av.topics.session_files import make_session_root, session_root
+from pipelines.session.option_rows import LAST_PORT
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
 #: Connections that wait for the session to take them.
@@ -34,7 +35,7 @@ def parse_address(
     return resolve(host, text, option, family), port
 
 
-def split_address(text: str, option: str, *, last_port: int = 65535) -> tuple[str, int]:
+def split_address(text: str, option: str, *, last_port: int = LAST_PORT) -> tuple[str, int]:
     """Return the host, which need not be known yet, and the port; ConfigError, too."""
     match = re.fullmatch(r"(\[[^\]]+\]|[^:]+):(\d{1,5})", text)
     if match is None or not 1 <= int(match[2]) <= last_port:

@@ -12,16 +12,18 @@ from typing import Any
 
 from kontur_av.errors import ConfigError
 
+#: Of TCP and UDP.
+LAST_PORT = 65_535
+
 
 def port(text: str) -> int:
     """Return the number of a port."""
     number = int(text)
-    if not 0 < number <= _LAST_PORT:
-        raise argparse.ArgumentTypeError(f"no port {number}: take 1 to {_LAST_PORT}")
+    if not 0 < number <= LAST_PORT:
+        raise argparse.ArgumentTypeError(f"no port {number}: take 1 to {LAST_PORT}")
     return number
 
 
-_LAST_PORT = 65_535
 _TYPES: dict[str, Callable[[str], Any]] = {
     "int": int,
     "float": float,

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 from kontur_av.errors import ConfigError, refused
 from pipelines.session.access import PEOPLE, Role
 from pipelines.session.datagrams import reaches
+from pipelines.session.option_rows import LAST_PORT
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 #: A page takes the first free one of this many ports.
 _MOST_PORTS = 100
-_LAST_PORT = 65_535
 _TOKEN_OCTETS = 24
 _WAITING = 64
 #: Any address beyond this network names the route to it; no datagram is sent.
@@ -159,7 +159,7 @@ def listeners(
 
 def _bind(host: PageHost, port: int) -> socket.socket:
     family = socket.AF_INET6 if _ip(host.address).version == 6 else socket.AF_INET
-    last = min(port + _MOST_PORTS - 1, _LAST_PORT)
+    last = min(port + _MOST_PORTS - 1, LAST_PORT)
     for candidate in range(port, last + 1):
         listener = socket.socket(family, socket.SOCK_STREAM)
         # A session that ended a moment ago must not take the port from the next one.

@@ -139,7 +139,7 @@ class DiskStore(FileStore):
         return sorted(found)
 
     def read(self, path: str) -> bytes:
-        # Without blocking: nobody may write to a FIFO.
+        # Do not block: a FIFO may have no writer.
         flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
         with os.fdopen(os.open(self.root / path, flags), "rb") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):

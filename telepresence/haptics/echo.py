@@ -6,7 +6,7 @@ octets.
 """
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.sample import Echo
+from telepresence.haptics.sample import UNKNOWN_AGE_MS, Echo
 
 #: A probe goes in the place of a sample this often.
 _EVERY_NS = 100 * NS_PER_MS
@@ -20,8 +20,8 @@ ANY_AGE_NS = 1 << 62
 class EchoProbe:
     """The robot's end. Call `poll_transmit` for each sample in a session.
 
-    Where an answer is missing, the oldest probe without one says how old the commands are. Before
-    the first answer they have any age.
+    While an answer is missing, the age counts from the oldest probe without an answer. Before the
+    first answer it is `ANY_AGE_NS`.
     """
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class EchoProbe:
         self._trip_ns: int | None = None
 
     def handle_answer(self, number: int, now_ns: int) -> None:
-        """The joystick has returned a probe. Others than those under way are ignored."""
+        """The joystick has returned a probe. An unknown number is ignored."""
         sent_ns = self._sent.get(number)
         if sent_ns is None:
             return
@@ -49,7 +49,7 @@ class EchoProbe:
         if len(self._sent) < _MOST:
             self._number = (self._number + 1) % _NUMBERS
             self._sent[self._number] = now_ns
-        return Echo(self._number, min(self.age_ns(now_ns) // NS_PER_MS, _NUMBERS - 1))
+        return Echo(self._number, min(self.age_ns(now_ns) // NS_PER_MS, UNKNOWN_AGE_MS))
 
     def age_ns(self, now_ns: int) -> int:
         """Return how old (ns) the newest command is at most, since the hand."""

@@ -33,7 +33,7 @@ class SamplesReceived:
     greetings: int = 0
     #: Echoes received, by which the robot knows how old its commands are.
     echoes: int = 0
-    #: Datagrams that are none of these.
+    #: Datagrams that are neither sample, greeting nor echo.
     garbage: int = 0
     #: Sessions begun, one every 30 s.
     sessions: int = 0

@@ -17,6 +17,7 @@ from telepresence.haptics.sample import (
     FLAG_HOLDING,
     SAMPLE_OCTETS,
     SEQUENCE_MODULUS,
+    UNKNOWN_AGE_MS,
     Command,
     Echo,
     Feedback,
@@ -183,7 +184,6 @@ class HapticLink(Generic[Out, In]):
                 self._echoes = self._robot and data[2] & FLAG_ECHOES != 0
                 return
             if is_echo(data):
-                self.echoes += 1
                 self._handle_echo(*read_echo(data, feedback=not self._robot), now_ns)
                 return
             number, sequence, flags, value = self._unpack(data)
@@ -344,10 +344,13 @@ class HapticLink(Generic[Out, In]):
     def _handle_echo(self, session: int, echo: Echo, now_ns: int) -> None:
         if session not in (self.session.receiving, self.session.sending):
             self.strays += 1
-        elif self._robot:
+            return
+        self.echoes += 1
+        if self._robot:
             self._probe.handle_answer(echo.number, now_ns)
         else:
-            self._echo, self.told_age_ms = echo.number, echo.age_ms
+            self._echo = echo.number
+            self.told_age_ms = None if echo.age_ms == UNKNOWN_AGE_MS else echo.age_ms
 
     def _poll_echo(self, now_ns: int) -> Echo | None:
         if self._robot:

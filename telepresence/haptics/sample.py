@@ -42,6 +42,8 @@ FLAG_STOP = FLAG_CONTACT
 
 #: Octet 3 of an echo; it has the flags of a greeting.
 _ECHO = 1
+#: The age in an echo before the first answer.
+UNKNOWN_AGE_MS = (1 << 32) - 1
 #: Bit 3 of octet 3.
 _BLIND = _STOPPED = 0x08
 

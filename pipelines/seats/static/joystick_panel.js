@@ -123,7 +123,7 @@ class JoystickPanel extends HTMLElement {
     const limitN = joystick?.force_limit_n ?? 0;
     setText(this.#limit, limitN > 0 ? `force up to ${limitN.toFixed(1)} N` : "no force");
     const ageMs = joystick?.command_age_ms ?? null;
-    setText(this.#age, ageMs === null ? "" : `the robot gets it within ${ageMs < 60_000 ? `${ageMs} ms` : "an unknown time"}`);
+    setText(this.#age, ageMs === null ? "" : `the robot gets it within ${ageMs} ms`);
     const reason = joystick === null ? "" : joystickWords(joystick, this.hasAttribute("telecommands"));
     setText(this.#reason, reason);
     this.#reason.hidden = reason === "";

@@ -116,7 +116,7 @@ export class PictureView extends HTMLElement {
     this.drawn += 1;
     this.#captureUs = captureUs;
     this.#drawnMs = pageMs();
-    // A page that is hidden or stands still paints nothing, whatever it draws.
+    // A hidden or frozen page paints nothing, although it still draws.
     if (this.#steers) requestAnimationFrame(() => this.#handlePainted(captureUs));
     if (this.#damage.hidden === damaged) this.#damage.hidden = !damaged;
     if (this.stale) this.#tick();
