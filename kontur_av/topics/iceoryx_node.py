@@ -25,6 +25,8 @@ _MAX_NODES = 64
 _RESERVED_SAMPLES, _RESERVED_OCTETS = 5, 1 << 20
 #: Two that a reader holds, and one that `latest` receives before it releases an older one.
 _MAX_LEASES = 3
+#: The longest wait for another process that is creating the same topic.
+_CREATION_S = 5
 #: At most, of iceoryx2's own header and alignment.
 _SAMPLE_OVERHEAD = 256
 
@@ -46,6 +48,8 @@ class IceoryxNode:
         make_session_root(session)
         root.mkdir(mode=0o700, exist_ok=True)
         config.global_cfg.root_path = iox2.Path.new(str(root))
+        # A process that another one holds up for longer (1 s by default) would end.
+        config.global_cfg.creation_timeout = iox2.Duration.from_secs(_CREATION_S)
         iox2.set_log_level(iox2.LogLevel.Error)
         try:
             self._node: Any = (

@@ -19,7 +19,7 @@ from numbered_pictures import (
     numbered_picture,
     write_pictures,
 )
-from running_session import RunningSession
+from running_session import RunningSession, restarted
 from selenium.webdriver import ActionChains
 
 from pipelines.hand.hand_topics import unpack_status
@@ -70,7 +70,7 @@ def session(pictures, tmp_path_factory):
         assert code == 0, running.errors()
         assert running.errors() == ""
         assert report["failures"] == []
-        assert {n for n, entry in report["processes"].items() if entry["restarts"]} == set()
+        assert restarted(report) == {}
 
 
 @pytest.fixture(scope="module")

@@ -80,6 +80,12 @@ def alive(pid):
     return state != "Z"
 
 
+def restarted(report):
+    """Return the last error of each process that was restarted."""
+    rows = report["processes"].items()
+    return {name: entry.get("last_error") for name, entry in rows if entry["restarts"]}
+
+
 def _name_of(pid):
     comm = Path(f"/proc/{pid}/comm").read_text().strip()
     return comm if comm.startswith("kav ") else None

@@ -4,7 +4,7 @@ leg reaches the radio link."""
 import asyncio
 
 from partners import kept, pictures, receiving, send, sending, sounds, until
-from running_session import assert_sound, tcp_port
+from running_session import assert_sound, restarted, tcp_port
 
 from benchmarks.page.footage import coded
 from kontur_av.codecs.h26x import H264Decoder
@@ -75,4 +75,4 @@ def test_no_trouble_of_a_partners_leg_reaches_the_link(start, tmp_path):
     assert {stream["rtp_lost"] for stream in report["streams"].values()} == {0}
     for name in ("downlink_video_send", "uplink_video_send"):
         assert report["processes"][name]["counts"]["feedback_received"] == 0
-    assert {process["restarts"] for process in report["processes"].values()} == {0}
+    assert restarted(report) == {}

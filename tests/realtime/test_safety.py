@@ -6,7 +6,7 @@ import time
 
 import pytest
 from robot_tip import Tip
-from running_session import eventually
+from running_session import eventually, restarted
 
 from pipelines.hand.hand_topics import unpack_status
 from pipelines.session.mission_messages import RobotStatus, unpack
@@ -115,9 +115,4 @@ def test_after_a_stall_of_an_end_the_robot_holds_until_a_new_press(start, monkey
     log = [entry["state"] for entry in joystick["log"]]
     assert log == ["standby", "standby", "calibrated", "application"]
     assert joystick["state"] == "application" and joystick["temperature_c"] > 20
-    restarted = {
-        name: entry.get("last_error")
-        for name, entry in report["processes"].items()
-        if entry["restarts"]
-    }
-    assert restarted == {}
+    assert restarted(report) == {}

@@ -10,7 +10,7 @@ import time
 from dataclasses import replace
 
 import pytest
-from running_session import assert_sound, eventually
+from running_session import assert_sound, eventually, restarted
 
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
@@ -72,7 +72,7 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
     processes = report["processes"]
     for name in ("console", "selector"):
         assert processes[name]["counts"]["pus_garbage"] == 0, name
-    assert {name for name, entry in processes.items() if entry["restarts"]} == set()
+    assert restarted(report) == {}
     session.assert_nothing_left()
 
 
@@ -143,5 +143,5 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
     assert_sound(report)
     processes = report["processes"]
     assert "writer has gone" in processes["camera_head"]["source_fault"]
-    assert {name: entry for name, entry in processes.items() if entry["restarts"]} == {}
+    assert restarted(report) == {}
     session.assert_nothing_left()
