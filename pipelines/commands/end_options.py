@@ -61,7 +61,7 @@ def _check_own_options(args: argparse.Namespace, topology: Topology, end: Segmen
         raise ConfigError("--joystick: the joystick is in space; give it at --end space")
     if end is Segment.SPACE:
         why = ": a partner joins the ground; give it at --end ground"
-        refuse_options(args, why, "rtc", "rtc_token_file", "ice_server")
+        refuse_options(args, why, "rtc", "rtc_token_file", "rtc_hand_token_file", "ice_server")
     here = inputs_here(topology)
     for option in args.source:
         name = option.partition("=")[0]

@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import re
+import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from pipelines.packets.process_packets import add_packets_arguments, checked_pac
 from pipelines.partner.ice_servers import IceServers
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
-from pipelines.session.page_sockets import PageListener, listeners
+from pipelines.session.page_sockets import HAND_TOKEN, PageListener, listeners
 from pipelines.session.served_pages import (
     ServerWish,
     add_page_arguments,
@@ -56,10 +57,14 @@ _Opened = tuple[Mapping[str, PageListener], Mapping[str, Mapping[str, object]]]
 
 @dataclass(frozen=True, kw_only=True)
 class RtcWish:
-    """The leg as the options ask for it. token: "" for a new one. servers: of each connection."""
+    """The leg as the options ask for it. servers: of each connection.
+
+    token, hand_token: "" for a new one. hand_token: None where nobody steers.
+    """
 
     server: ServerWish
     token: str
+    hand_token: str | None
     servers: Callable[[], IceServers]
 
 
@@ -69,7 +74,10 @@ def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
         f"--rtc [HOST:]PORT <?={_RTC_PORT}>  serve a partner across the Internet by WebRTC: it "
         "sees and hears both sides, and is seen and heard at the ground (default "
         f"127.0.0.1:{_RTC_PORT}); TLS beyond loopback",
-        "--rtc-token-file FILE <Path>  the partner's token (default: a new one for each session)",
+        "--rtc-token-file FILE <Path>  the partner's token to watch and to send (default: a new "
+        "one for each session)",
+        "--rtc-hand-token-file FILE <Path>  its token to steer (default: a new one for each "
+        "session)",
     )
     add_ice_arguments(parser)
 
@@ -83,16 +91,25 @@ def bound_rtc(
     """
     servers = ice_servers_of(args)
     if setup.rtc is None or Segment.GROUND not in segments:
-        given = (args.rtc, args.rtc_token_file, args.ice_server)
+        given = (args.rtc, args.rtc_token_file, args.rtc_hand_token_file, args.ice_server)
         if any(one is not None for one in given):
             why = "give --rtc, too" if setup.rtc is None else "the leg is at the ground's end"
             raise ConfigError(f"--rtc-token-file and --ice-server belong to a partner: {why}")
         return None
-    token = ""
-    if args.rtc_token_file is not None:
-        token = read_secret(args.rtc_token_file, "--rtc-token-file")
+    token, hand_token = (
+        "" if path is None else read_secret(path, option)
+        for option, path in (
+            ("--rtc-token-file", args.rtc_token_file),
+            ("--rtc-hand-token-file", args.rtc_hand_token_file),
+        )
+    )
+    if hand_token and hand_token == token:
+        raise ConfigError("--rtc-hand-token-file: write another token than --rtc-token-file has")
     server = bound_server(args.rtc or _RTC_PORT, RTC, "--rtc", args.page_cert)
-    return RtcWish(server=server, token=token, servers=servers)
+    steers = setup.partner_arm != "none"
+    return RtcWish(
+        server=server, token=token, hand_token=hand_token if steers else None, servers=servers
+    )
 
 
 @contextmanager
@@ -111,14 +128,22 @@ def announced_rtc(
         listener = found[RTC]
         if wish.token:
             listener = replace(listener, operator_token=wish.token)
+        if wish.hand_token is not None:
+            hand_token = wish.hand_token or secrets.token_urlsafe(24)
+            listener = replace(listener, people={HAND_TOKEN: hand_token})
         told = {
             "page": listener.url(RTC),
             "base": base_url(listener, RTC),
             "token": listener.operator_token,
+            **(
+                {"hand_token": listener.people[HAND_TOKEN]} if HAND_TOKEN in listener.people else {}
+            ),
         }
         write_private(root / "rtc.json", json.dumps(told, indent=1) + "\n")
         if not quiet:
             lines = [f"partner {told['page']}"]
+            if HAND_TOKEN in listener.people:
+                lines.append(f"its token to steer: {listener.people[HAND_TOKEN]}")
             if made:
                 lines.append(f"its certificate was made for this session: {made}")
             say("\n".join(lines))

@@ -92,6 +92,8 @@ class Attempts:
 _STRANGERS_A_SECOND = 10
 #: Offers of those who have the token, too: each costs a certificate and sockets.
 _OFFERS_A_SECOND = 5
+#: Who steers tells that it is there twice a second; one that is silent for longer gives way.
+_HAND_SILENT_NS = 2 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,30 +105,40 @@ class Refusal:
 
 
 class Door:
-    """Admits requests with the bearer token (RFC 9725 section 4.7), within bounds.
+    """Admits requests with a bearer token (RFC 9725 section 4.7), within bounds.
 
-    token: shared with the partner. most_viewers: that watch at once.
+    token: to watch and to send. hand_token: to steer; "": nobody steers.
+    most_viewers: that watch at once.
 
     There is one partner whose picture is taken: a newer connection takes the place of the older.
     """
 
-    def __init__(self, *, token: str, most_viewers: int = 8) -> None:
-        self._token = token
+    def __init__(self, *, token: str, hand_token: str = "", most_viewers: int = 8) -> None:
+        self._token, self._hand_token = token, hand_token
         self._most_viewers = most_viewers
         self._second_ns = 0
         self._strangers = self._offers = 0
         #: Requests refused, by reason.
         self.refused: dict[str, int] = {}
 
-    def check(self, authorization: str | None, now_ns: int) -> Refusal | None:
-        """Return None for a request with the token, else why it is refused.
+    def check(
+        self, authorization: str | None, now_ns: int, *, steers: bool | None = False
+    ) -> Refusal | None:
+        """Return None for a request with the token that it needs, else why it is refused.
 
-        authorization: of the request's header.
+        authorization: of the request's header. steers: whether it needs the token to steer; None:
+        either will do.
         """
         self._begin_second(now_ns)
         kind, _, given = (authorization or "").partition(" ")
-        if kind.lower() == "bearer" and is_token(given.strip(), self._token):
+        named = given.strip() if kind.lower() == "bearer" else ""
+        watcher = is_token(named, self._token)
+        hand = bool(self._hand_token) and is_token(named, self._hand_token)
+        if (watcher and steers is not True) or (hand and steers is not False):
             return None
+        if watcher or hand:
+            may = "watch and send" if watcher else "steer"
+            return self._refuse("token", 403, f"this token may only {may}: take the other one")
         self._strangers += 1
         if self._strangers > _STRANGERS_A_SECOND:
             return self._refuse("strangers", 429, "too many requests")
@@ -144,6 +156,17 @@ class Door:
         if viewers is not None and viewers >= self._most_viewers:
             return self._refuse("viewers", 503, f"{self._most_viewers} watch already")
         return None
+
+    def check_hand(self, *, heard_ns: int | None, lent: bool, now_ns: int) -> Refusal | None:
+        """Return None if a new connection may steer.
+
+        heard_ns: when something last came by the present one; None: there is none.
+        lent: the owner lets partners drive, so who drives is not displaced by another.
+        """
+        if not lent or heard_ns is None or now_ns - heard_ns > _HAND_SILENT_NS:
+            return None
+        words = "another one drives: it leaves, or the owner takes the robot back"
+        return self._refuse("hand", 409, words)
 
     def _refuse(self, reason: str, status: int, words: str) -> Refusal:
         self.refused[reason] = self.refused.get(reason, 0) + 1

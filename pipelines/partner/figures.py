@@ -32,7 +32,7 @@ class RtcFigures:
     connections: int = 0
     #: Restarts of ICE.
     ice_restarts: int = 0
-    #: HTTP requests refused: `token`, `strangers`, `offers` or `viewers`.
+    #: HTTP requests refused: `token`, `strangers`, `offers`, `viewers` or `hand`.
     refused: Mapping[str, int] = field(default_factory=dict)
     #: Unusable offers, and packets that were not RTP or RTCP.
     garbage: int = 0

@@ -29,6 +29,7 @@ from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
 from pipelines.session.topic_ends import NumberedTopic, SampleTopic
 from pipelines.session.topology import (
+    ARM_ORDER_TOPIC,
     RTC,
     RTC_CAMERA,
     RTC_CODED_VOICE_TOPIC,
@@ -42,6 +43,7 @@ from pipelines.session.topology import (
     RTC_WISH_TOPIC,
     VideoRow,
 )
+from telepresence.haptics.ownership import Owner
 
 #: The programmes, as their addresses name them.
 UPLINK, DOWNLINK = "uplink", "downlink"
@@ -82,6 +84,10 @@ class _Leg:
         self._programmes = [self._uplink.programme]
         if self._downlink.programme.sends:
             self._programmes.append(self._downlink.programme)
+        arm = context.setup.partner_arm
+        # Only a shared arm is the owner's to lend.
+        self._orders = bus.reader(ARM_ORDER_TOPIC) if arm == "shared" else None
+        self._lent = self._orders is None
         self._server = RtcServer(
             context.pages[RTC],
             self._programmes,
@@ -89,7 +95,8 @@ class _Leg:
             handle=self._partner.handle,
             servers=servers,
             most_bps=leg.taken_bps,
-            samples=None if context.setup.partner_arm == "none" else SamplePorts(context, loop),
+            samples=None if arm == "none" else SamplePorts(context, self._serving.loop),
+            lent=lambda: self._lent,
         )
         self._hands = SampleTally()
         self._tally = Tally()
@@ -110,6 +117,9 @@ class _Leg:
 
     def _handle_time(self, _: int) -> None:
         self._uplink.handle_time()
+        order = None if self._orders is None else self._orders.latest_octets()
+        if order is not None:
+            self._lent = order == Owner.PARTNER.value.encode("ascii")
         self._count()
 
     def _count(self) -> None:

@@ -2,6 +2,7 @@
 
 from pipelines.session.setup.table import GROUND_MIC
 from pipelines.session.topology import (
+    ARM_ORDER_TOPIC,
     RTC,
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
@@ -43,6 +44,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             reads=(
                 RTC_VIDEO_TOPIC,
                 RTC_SPEECH_TOPIC,
+                *given(session.setup.partner_arm == "shared", ARM_ORDER_TOPIC),
                 *(row.coded_topic for row in downlink),
                 *(row.decoded_topic for row in downlink if isinstance(row, VideoRow)),
             ),

@@ -2,7 +2,7 @@
 
 The channel neither repeats nor orders (RFC 8831: unordered, no retransmission), so a sample is late
 by the network's own delay, or lost. A message is a sample in the haptic format, or the one octet
-that tells the other end that this one is there.
+that tells the other end that this one is there, or that another has taken its place.
 """
 
 import asyncio
@@ -19,6 +19,7 @@ from aiortc import (
 )
 from aiortc.exceptions import InvalidAccessError, InvalidStateError
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.partner.description import MALFORMED, MOST_SDP_OCTETS
 from pipelines.partner.ice_servers import IceServers
@@ -28,7 +29,7 @@ from pipelines.session.topology import partner_ports
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
 _LABEL = "haptics"
-_HERE = b"\0"
+_HERE, _DISPLACED = b"\0", b"\1"
 _TELL_S, _SILENT_S, _CONNECT_S = 0.5, 4.0, 20.0
 #: What aiortc raises for a description that it cannot use.
 _UNUSABLE = (*MALFORMED, InvalidAccessError, InvalidStateError)
@@ -53,6 +54,8 @@ class SamplePeer:
         self._channel: RTCDataChannel | None = None
         self._ended = asyncio.Event()
         self._heard_s = asyncio.get_running_loop().time()
+        #: Whether another has taken its place: connecting again would only take it back.
+        self.displaced = False
         self._connection.on("datachannel", self._take)
         self._connection.on("connectionstatechange", self._look)
         #: Samples that came and went, and those left out because the network was slower.
@@ -65,6 +68,19 @@ class SamplePeer:
     @property
     def connected(self) -> bool:
         return self._channel is not None and self._channel.readyState == "open"
+
+    @property
+    def heard_ns(self) -> int:
+        """When something last came, on the monotonic clock."""
+        return round(self._heard_s * NS_PER_S)
+
+    async def displace(self) -> None:
+        """Tell the other end that another takes its place, and close."""
+        if self._channel is not None and self._channel.readyState == "open":
+            self._channel.send(_DISPLACED)
+            # `close` would drop what has not left yet.
+            await asyncio.sleep(_TELL_S)
+        await self.close()
 
     async def offer(self) -> str:
         self._take(self._connection.createDataChannel(_LABEL, ordered=False, maxRetransmits=0))
@@ -137,6 +153,9 @@ class SamplePeer:
         if isinstance(data, bytes) and len(data) == SAMPLE_OCTETS:
             self.received += 1
             self._handle(data)
+        elif data == _DISPLACED:
+            self.displaced, self.fault = True, "another one has taken its place"
+            self._ended.set()
         elif data != _HERE:
             self.garbage += 1
 

@@ -4,7 +4,7 @@
 |---|---|
 | POST /whip | the partner's picture and voice (RFC 9725) |
 | POST /whep/NAME | to watch a programme (draft-ietf-wish-whep) |
-| POST /haptics | to steer: a data channel for haptic samples |
+| POST /haptics | to steer, with a token of its own: a data channel for haptic samples |
 | PATCH, DELETE /session/ID | to add addresses, to restart ICE, to end |
 | GET /rtc?token=… | a page that does all of it |
 """
@@ -33,7 +33,7 @@ from pipelines.partner.media import PictureCame, SoundCame
 from pipelines.partner.peer import Programme, RtcPeer
 from pipelines.partner.samples import SamplePeer, SamplePorts
 from pipelines.session.access import AccessError
-from pipelines.session.page_sockets import PageListener
+from pipelines.session.page_sockets import HAND_TOKEN, PageListener
 from pipelines.session.web_site import SHUTDOWN_S, WebSite, quiet_log
 
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
@@ -71,7 +71,8 @@ class RtcServer:
     handle: called with what the partner sends; None: nothing is taken.
     servers: called for the STUN and TURN servers of each new connection.
     most_bps: of the partner's picture.
-    samples: what its joystick drives; None: nothing.
+    samples: what its joystick drives; None: nothing. Its token is among the listener's people.
+    lent: whether the owner lets partners drive; see `Door.check_hand`.
     """
 
     def __init__(
@@ -84,12 +85,15 @@ class RtcServer:
         servers: Callable[[], IceServers] = IceServers,
         most_bps: int = 1_500_000,
         samples: SamplePorts | None = None,
+        lent: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._samples = samples
+        self._samples, self._lent = samples, lent
         self._clock, self._handle = clock, handle
         self._servers, self._most_bps = servers, most_bps
         self.programmes = {programme.name: programme for programme in programmes}
-        self.door = Door(token=listener.operator_token)
+        self.door = Door(
+            token=listener.operator_token, hand_token=listener.people.get(HAND_TOKEN, "")
+        )
         self._site = WebSite(listener, seat="rtc")
         self._sessions: dict[str, _Session] = {}
         self._runner: web.AppRunner | None = None
@@ -156,7 +160,8 @@ class RtcServer:
 
     async def _signal(self, request: web.Request, path: str) -> web.Response:
         now_ns = self._clock.now_ns()
-        refusal = self.door.check(request.headers.get("Authorization"), now_ns)
+        steers = None if path.startswith(_SESSION) else path == _HAPTICS
+        refusal = self.door.check(request.headers.get("Authorization"), now_ns, steers=steers)
         if refusal is not None:
             return _refused(refusal)
         self._site.handle_known(request)
@@ -182,6 +187,10 @@ class RtcServer:
         if refusal is not None:
             return _refused(refusal)
         if path == _HAPTICS and self._samples is not None:
+            heard_ns = None if self.hand is None else self.hand.heard_ns
+            refusal = self.door.check_hand(heard_ns=heard_ns, lent=self._lent(), now_ns=now_ns)
+            if refusal is not None:
+                return _refused(refusal)
             return await self._begin_hand(offer, self._samples)
         return await self._begin(offer, programme)
 
@@ -219,12 +228,13 @@ class RtcServer:
         return response
 
     async def _begin_hand(self, offer: str, samples: SamplePorts) -> web.Response:
-        """Take the partner's joystick; a newer connection takes the place of the older."""
+        """Take the partner's joystick in the place of an earlier one."""
         peer = SamplePeer(self._servers(), samples.handle)
 
         async def join() -> None:
             for name, other in list(self._sessions.items()):
                 if isinstance(other.peer, SamplePeer):
+                    await other.peer.displace()
                     await self._end(name)
             samples.join(peer)
             self.hand = peer

@@ -222,10 +222,11 @@ class Keeper(Generic[_Peer]):
         self._stopping = True
 
     async def run(self) -> None:
-        """Keep the connection until `stop`.
+        """Keep the connection until `stop`, or until another one has taken its place.
 
         Raises ConfigError for what trying again does not mend, unless a connection stood before.
         """
+        displaced = False
         while not self._stopping:
             if not self.attempts.poll_connect(self._clock.now_ns()):
                 await asyncio.sleep(_LOOK_S / 5)
@@ -242,9 +243,11 @@ class Keeper(Generic[_Peer]):
                 if self.peer is not None:
                     await self.peer.close()
                     self.fault = self.peer.fault or self.fault
+                    displaced = isinstance(self.peer, SamplePeer) and self.peer.displaced
                     self.peer = None
             self.attempts.handle_ended(self._clock.now_ns())
             if not self._stopping:
+                self._stopping = displaced
                 self._told(f"no connection: {self.fault or 'it has ended'}")
 
     async def _connection(self) -> None:

@@ -65,6 +65,10 @@ class PageHost:
         return tuple(dict.fromkeys(_as_browsers_write(name) for name in found))
 
 
+#: Among a listener's `people`: who may steer by a partner's leg.
+HAND_TOKEN = "hand"
+
+
 @dataclass(frozen=True, kw_only=True)
 class PageListener:
     """A bound TCP socket, kept by the launcher, so that a restarted process has the same port.

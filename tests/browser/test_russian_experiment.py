@@ -63,7 +63,7 @@ def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_pa
     token.write_text("word-of-the-partner")
     shutil.copy(SAMPLE, tmp_path)
     (tmp_path / "partner_robot.py").write_text(ROBOT)
-    way = ("--rtc", str(port), "--rtc-token-file", str(token))
+    way = ("--rtc", str(port), "--rtc-hand-token-file", str(token))
     options = (*way, "--page", str(free_port()))
     browser = start_browser()
     with RunningSession(str(setup), *options, directory=tmp_path) as session:

@@ -96,24 +96,57 @@ def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start
     assert set(restarted(report)) == {"owner_desk", "robot"}
 
 
+def across(tmp_path):
+    """Return options of a session, and the words by which a partner's joystick reaches it."""
+    seen, hand, port = tmp_path / "seen", tmp_path / "hand", tcp_port()
+    seen.write_text("word-of-the-partner")
+    hand.write_text("word-of-the-hand")
+    options = ("--rtc", str(port), "--rtc-token-file", seen, "--rtc-hand-token-file", hand)
+    url = f"http://127.0.0.1:{port}"
+    return [*map(str, options)], url, ("--rtc", url, "--token-file", str(hand))
+
+
+def test_one_joystick_drives_across_the_internet_until_the_owner_takes_the_robot(
+    start_lab, tmp_path
+):
+    options, _, words = across(tmp_path)
+    session = start_lab("shared", *options)
+    session.wait_for_flow()
+    hand_over(session, "partner")
+    viewer = (*words[:2], "--token-file", str(tmp_path / "seen"))
+    with Partner(session, tmp_path / "viewer.txt", *viewer) as watching:
+        watching.wait_for(
+            "this token may not (403): this token may only watch and send: take the other one"
+        )
+    with Partner(session, tmp_path / "first.txt", *words) as first:
+        first.wait_for("answers")
+        with Partner(session, tmp_path / "second.txt", *words) as second:
+            second.wait_for("the owner takes the robot back")
+            assert "taken its place" not in (tmp_path / "first.txt").read_text()
+            hand_over(session, "iss")
+            eventually(
+                lambda: "another one has taken its place" in (tmp_path / "first.txt").read_text(),
+                "the second joystick in the place of the first",
+            )
+            hand_over(session, "partner")
+            second.wait_for("answers")
+    session.interrupt()
+
+
 def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_path):
-    token, port = tmp_path / "token", tcp_port()
-    token.write_text("word-of-the-partner")
-    session = start_lab("second", "--rtc", str(port), "--rtc-token-file", str(token))
+    options, url, words = across(tmp_path)
+    session = start_lab("second", *options)
     pids = session.pids()
     session.wait_for_flow()
-    url = f"http://127.0.0.1:{port}"
     with Partner(session, tmp_path / "stranger.txt", "--rtc", url, "--token", "guess") as stranger:
         stranger.wait_for("the token is not taken (401): this address needs the token")
-    words = ("--rtc", url, "--token-file", str(token))
+    headers = {"Authorization": f"Bearer {(tmp_path / 'hand').read_text()}"}
+    request = Request(f"{url}/haptics", b"v=0", headers)
+    request.add_header("Content-Type", "application/sdp")
+    with pytest.raises(HTTPError, match="400"):
+        urlopen(request)
     with Partner(session, tmp_path / "partner.txt", *words) as partner:
         partner.wait_for("answers")
-        request = Request(
-            f"{url}/haptics", b"v=0", {"Authorization": f"Bearer {token.read_text()}"}
-        )
-        request.add_header("Content-Type", "application/sdp")
-        with pytest.raises(HTTPError, match="400"):
-            urlopen(request)
         said, before = tmp_path / "partner.txt", len((tmp_path / "partner.txt").read_text())
         os.kill(pids["rtc"], signal.SIGKILL)
         back = re.compile(r"silent\n.*answers\n\Z", re.DOTALL)

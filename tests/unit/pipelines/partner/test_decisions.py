@@ -25,6 +25,25 @@ def test_only_the_token_opens_the_door_and_many_strangers_are_turned_away_unread
     assert offers[:3] == [None] * 3 and offers[3].status == 429
 
 
+def test_who_watches_does_not_steer_and_who_steers_is_displaced_by_the_owner_alone():
+    door = decisions.Door(token="seen", hand_token="hand")
+    for token, steers, status in (
+        *(("seen", False, None), ("seen", True, 403), ("hand", True, None)),
+        *(("hand", False, 403), ("seen", None, None), ("hand", None, None)),
+        *(("", True, 401), ("guess", None, 401)),
+    ):
+        refusal = door.check(f"Bearer {token}", 0, steers=steers)
+        assert (refusal and refusal.status) == status, (token, steers)
+    assert decisions.Door(token="seen").check("Bearer ", 0, steers=True).status == 401
+    # The present one was heard a second ago, or three.
+    for heard_ns, lent, status in (
+        *((2 * NS_PER_S, True, 409), (2 * NS_PER_S, False, None)),
+        *((0, True, None), (None, True, None)),
+    ):
+        refusal = door.check_hand(heard_ns=heard_ns, lent=lent, now_ns=3 * NS_PER_S)
+        assert (refusal and refusal.status) == status, (heard_ns, lent)
+
+
 def connect(attempts, now_ns):
     while not attempts.poll_connect(now_ns):
         now_ns = attempts.poll_timeout()
