@@ -26,6 +26,15 @@ pytest_plugins = ("tiers",)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+os.environ.pop("STATE_DIRECTORY", None)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_stop_of_the_user(tmp_path_factory) -> None:
+    """No session of a test begins with a stop that the user's robot has, nor leaves one behind."""
+    os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+
+
 SPEECH = Path("/usr/share/sounds/alsa")
 
 

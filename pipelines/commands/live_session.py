@@ -16,7 +16,7 @@ from pipelines.report.model import ReplayReport
 from pipelines.report.report_file import end_report
 from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
-from pipelines.session.kept_files import NotesReader, SessionNow, write_now
+from pipelines.session.kept_files import KeptOrders, NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
 from pipelines.session.option_rows import add_options
 from pipelines.session.topology import Segment
@@ -74,9 +74,10 @@ def with_status(
     tell = status_teller()
     attached = ExperimentWatch(collector, attached=True)
     notes: NotesReader | None = None
+    forgotten = ""
 
     def show_and_tell(launcher: Launcher) -> None:
-        nonlocal notes
+        nonlocal notes, forgotten
         now_ns = launcher.clock.now_ns()
         if log is None:
             experiment = attached.handle_time(now_ns)
@@ -85,6 +86,9 @@ def with_status(
             notes = notes or NotesReader(launcher.session)
             for note in notes.read():
                 log.handle_note(note.what, note.text, now_ns)
+            if (problem := KeptOrders(launcher.session).settle()) != forgotten:
+                forgotten = problem
+                log.handle_note("session", problem or "an emergency stop is kept again", now_ns)
             events = [event for event in log.events if event.what == UPKEEP]
             with suppress(OSError):
                 write_now(launcher.session, SessionNow(experiment=experiment, events=events))

@@ -44,7 +44,8 @@ def run(args: argparse.Namespace) -> int:
     from pipelines.hand.safety_ends import await_stopped
 
     silent = [(one, words) for one in stopped if (words := await_stopped(one, ordered_ns))]
-    for session, words in silent:
+    unkept = [(one, words) for one in stopped if (words := KeptOrders(one).settle())]
+    for session, words in (*silent, *unkept):
         print(f"{session}: {words}", file=sys.stderr)
     if failed is not None:
         raise failed

@@ -1,6 +1,7 @@
 """`kontur-av stream`: a whole telepresence session on this machine, and its report."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
@@ -30,6 +31,7 @@ from pipelines.report.live import LiveView
 from pipelines.report.report_file import check_writable
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.command_process import say
+from pipelines.session.kept_files import keep_latch
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import (
@@ -42,7 +44,7 @@ from pipelines.session.options import (
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
 from pipelines.session.terminals import write_wish
-from pipelines.session.topology import RECORDER
+from pipelines.session.topology import RECORDER, Segment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,6 +99,11 @@ def run(args: argparse.Namespace) -> int:
         ways.opened(session) as (listeners, arguments),
         LiveView(collector, quiet=args.quiet, verbose=args.verbose) as view,
     ):
+        # A stop belongs to the robot: whole sessions and those of the ground have the same.
+        here = Segment.GROUND in plan.segments
+        robot = topology.options.robot if here else Segment.SPACE.value
+        if held_by := keep_latch(session, setup.name, robot):
+            print(f"kontur-av: {held_by}", file=sys.stderr, flush=True)
         if wish is not None:
             clear_parts(Path(wish.file))
             write_wish(session, wish)

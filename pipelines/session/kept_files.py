@@ -4,6 +4,7 @@
 |---|---|---|
 | `stop` | any process that stops the robot | who ordered the stop; none without it |
 | `stop.armed` | the launcher | renamed to `stop`, which needs no room on a disk |
+| `latch` | the launcher | a link to such a `stop` of the robot, which outlives the session |
 | `orders-robot`, `orders-joystick` | those processes | their newest orders, as JSON |
 | `now.json` | the session, once a second | `SessionNow` |
 | `notes` | `maintain` | a `Note` a line |
@@ -12,13 +13,18 @@ A process that starts goes on with its orders. If the directory is gone, or a fi
 content, it does not know what was ordered; then it starts halted and off.
 """
 
+import errno
+import hashlib
 import os
+import re
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, Literal, TypeVar
 
 import msgspec
 
+from kontur_av.clock import NS_PER_S
 from kontur_av.topics.session_files import partial_of, replace_file, session_root
 from pipelines.session.figures import Event
 from telepresence.malformed import MALFORMED
@@ -26,14 +32,119 @@ from telepresence.malformed import MALFORMED
 T = TypeVar("T", bound=msgspec.Struct)
 #: Of the words that say who stopped it.
 _MOST_CHARACTERS = 120
-_STOP, _ARMED = "stop", "stop.armed"
+_STOP, _LATCH = "stop", "latch"
+
+
+class StopFile:
+    """A stop that holds while its file is there. Once armed it needs no room on a disk."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._armed = path, path.with_name(f"{path.name}.armed")
+
+    def arm(self) -> None:
+        """Have a file ready that only needs another name to be a stop."""
+        if not self.path.exists():
+            self._armed.write_bytes(b" " * _MOST_CHARACTERS)
+
+    @property
+    def there(self) -> bool:
+        """Whether it holds; also if that cannot be told."""
+        try:
+            self.path.lstat()
+        except OSError as error:
+            return error.errno not in (errno.ENOENT, errno.ENOTDIR)
+        return True
+
+    @property
+    def by(self) -> str:
+        """Who ordered it, in words; "" if nobody did, or that is not known."""
+        try:
+            return self.path.read_text("utf-8", errors="replace")[:_MOST_CHARACTERS].strip()
+        except OSError:
+            return ""
+
+    @property
+    def at_ns(self) -> int:
+        """When it was ordered, on the clock of files; 0 if that is not known."""
+        try:
+            return self.path.stat().st_mtime_ns
+        except OSError:
+            return 0
+
+    def order(self, by: str) -> None:
+        words = by.encode()[:_MOST_CHARACTERS]
+        # Before the file is the stop: its instant names the order. Without room nobody is named.
+        with suppress(OSError), self._armed.open("r+b") as file:
+            file.write(words.ljust(_MOST_CHARACTERS))
+        with suppress(OSError):
+            self._armed.rename(self.path)
+        if self.path.exists():
+            return
+        try:
+            replace_file(self.path, words)
+        except OSError:
+            # A full disk has no room for the words. The file begun for them can be renamed.
+            with suppress(OSError):
+                partial_of(self.path).replace(self.path)
+                return
+            self.path.touch()
+
+    def release(self) -> None:
+        try:
+            self.path.rename(self._armed)
+        except OSError:
+            self.path.unlink(missing_ok=True)
 
 
 def arm_stop(session: str) -> None:
-    """Have a file ready that only needs another name to be a stop."""
-    root = session_root(session)
-    if not (root / _STOP).exists():
-        (root / _ARMED).write_bytes(b" " * _MOST_CHARACTERS)
+    """Have a session's stop need no room on a disk."""
+    StopFile(session_root(session) / _STOP).arm()
+
+
+def _latch_path(setup: str, robot: str) -> Path:
+    """Where the stop of a robot is kept; RuntimeError for a user without a home directory."""
+    room = Path(os.environ.get("STATE_DIRECTORY", "").partition(":")[0])
+    if not room.is_absolute():
+        state = Path(os.environ.get("XDG_STATE_HOME", ""))
+        # The XDG specification: a relative path is to be ignored.
+        room = state if state.is_absolute() else Path.home() / ".local" / "state"
+        room /= "kontur-av"
+    digest = hashlib.sha256(robot.encode()).hexdigest()[:8]
+    return room / "stops" / f"{re.sub('[^A-Za-z0-9]+', '-', setup)[:40]}-{digest}"
+
+
+def keep_latch(session: str, setup: str, robot: str) -> str:
+    """Have the stops of a new session outlive it; begin stopped if one holds.
+
+    setup, robot: the names of the site and of the robot, which a stop belongs to. Return a line to
+    print; "" if there is nothing to say. OSError if it cannot begin stopped.
+    """
+    try:
+        latch = StopFile(_latch_path(setup, robot))
+    except RuntimeError as error:
+        return _forgotten(error)
+    problem = ""
+    try:
+        (session_root(session) / _LATCH).symlink_to(latch.path)
+        latch.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        latch.arm()
+    except OSError as error:
+        problem = _forgotten(error)
+    if not latch.there:
+        return problem
+    KeptOrders(session).stop(latch.by)
+    return f"{stopped_words(latch)} holds the robot: `kontur-av stop --release` ends it"
+
+
+def _forgotten(error: Exception) -> str:
+    return f"an emergency stop ends with this session ({error}): set XDG_STATE_HOME"
+
+
+def stopped_words(stop: StopFile) -> str:
+    """Who ordered a stop, and when."""
+    at_s = stop.at_ns / NS_PER_S
+    at = f" of {time.strftime('%Y-%m-%d %H:%M:%S UTC', time.gmtime(at_s))}" if at_s else ""
+    return f"the emergency stop by {stop.by or 'somebody'}{at}"
 
 
 class KeptOrders:
@@ -41,10 +152,14 @@ class KeptOrders:
 
     def __init__(self, session: str) -> None:
         self._root = session_root(session)
-        self._stop, self._armed = self._root / _STOP, self._root / _ARMED
+        self._here = StopFile(self._root / _STOP)
+        #: Outlives the session; None: nothing of it does.
+        self._latch: StopFile | None = None
+        with suppress(OSError):
+            self._latch = StopFile((self._root / _LATCH).readlink())
         # As text, because loops look a hundred times a second, and a `Path` takes twice as long.
         # The second is there only if the first can be looked for.
-        self._paths = os.fspath(self._stop), f"{self._root}/."
+        self._paths = os.fspath(self._here.path), f"{self._root}/."
 
     @property
     def stopped(self) -> bool:
@@ -56,47 +171,49 @@ class KeptOrders:
     @property
     def stopped_by(self) -> str:
         """Who ordered it, in words; "" if nobody did, or that is not known."""
-        try:
-            return self._stop.read_text("utf-8", errors="replace")[:_MOST_CHARACTERS].strip()
-        except OSError:
-            return ""
+        return self._here.by
 
     @property
     def stopped_at_ns(self) -> int:
         """When it was ordered last, on the clock of files; 0 if that is not known."""
-        try:
-            return self._stop.stat().st_mtime_ns
-        except OSError:
-            return 0
+        return self._here.at_ns
 
     def stop(self, by: str) -> None:
         """Order an emergency stop, also anew. Who ordered the first of several is kept."""
         if self.stopped:
             with suppress(OSError):
-                os.utime(self._stop)
-            return
-        words = by.encode()[:_MOST_CHARACTERS]
-        # Before the file is the stop: its instant names the order. Without room nobody is named.
-        with suppress(OSError), self._armed.open("r+b") as file:
-            file.write(words.ljust(_MOST_CHARACTERS))
+                os.utime(self._here.path)
+        else:
+            self._here.order(by)
+        # What acts comes first. The launcher tries again, and says if it cannot be kept.
         with suppress(OSError):
-            self._armed.rename(self._stop)
-        if self.stopped:
-            return
-        try:
-            replace_file(self._stop, words)
-        except OSError:
-            # A full disk has no room for the words. The file begun for them can be renamed.
-            with suppress(OSError):
-                partial_of(self._stop).replace(self._stop)
-                return
-            self._stop.touch()
+            if self._latch is not None and not self._latch.there:
+                self._latch.order(self.stopped_by)
 
     def release(self) -> None:
+        self._here.release()
+        with suppress(OSError):
+            if self._latch is not None:
+                self._latch.release()
+
+    def settle(self) -> str:
+        """Have a stop outlive a loss of power, too; return why it does not, or "".
+
+        It may wait for the disk.
+        """
         try:
-            self._stop.rename(self._armed)
-        except OSError:
-            self._stop.unlink(missing_ok=True)
+            if self._latch is not None and self.stopped:
+                if not self._latch.there:
+                    self._latch.order(self.stopped_by)
+                for path in (self._latch.path, self._latch.path.parent):
+                    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+                    try:
+                        os.fsync(descriptor)
+                    finally:
+                        os.close(descriptor)
+        except OSError as error:
+            return _forgotten(error)
+        return ""
 
     def recall(self, name: str, first: T, unknown: T) -> T:
         """Return the orders of process `name`.

@@ -132,6 +132,8 @@ class RunningSession:
         self.temporary = Path(tempfile.mkdtemp(prefix="kav"))
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
+        # A test's next session has the robot of the one before, and its stop.
+        self.environment["XDG_STATE_HOME"] = str(self.directory / "state")
         self.names = [row.name for row in processes]
         command = [*self.prefix, *SESSION_COMMAND, *words, "--report", str(self.report_path)]
         command += ["--base-port", str(self.base_port)]

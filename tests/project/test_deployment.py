@@ -1,5 +1,6 @@
 """The systemd unit is one that systemd takes, and the clip of the documents is there."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,10 @@ UNIT = ROOT / "samples" / "kontur-av@.service"
 def test_systemd_takes_the_unit(tmp_path):
     text = UNIT.read_text(encoding="utf-8")
     assert "\nUser=kontur\n" in text and "[Install]" in text
+    assert "SupplementaryGroups=video audio input\n" in text and "StateDirectory=" in text
+    # The address of the pages is said, and no report replaces another.
+    (start,) = re.findall("ExecStart=(.*)", text)
+    assert " -q" not in start and '--report "%i-$$(date' in start
     # What it starts must exist.
     program = Path(sys.executable).with_name("kontur-av")
     copy = tmp_path / "kontur-av@lab.service"

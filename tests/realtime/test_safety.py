@@ -82,6 +82,25 @@ def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatc
     assert report["safety"]["hold"] == ""
 
 
+@pytest.mark.rule("S6")
+def test_a_stop_outlives_its_killed_session_until_it_is_released(start, monkeypatch):
+    first = start("taskboard")
+    first.pids()
+    assert first.ask("stop").returncode == 0
+    os.killpg(first.process.pid, signal.SIGKILL)
+    first.process.wait()
+    session = start("taskboard")
+    with session.bus(monkeypatch) as bus:
+        watched = Watched(session, bus)
+        assert watched.tip.holds(CYCLES) and watched.newest("robot").stopped
+        assert "the emergency stop by a terminal of" in session.errors()
+        assert session.ask("stop", "--release").returncode == 0
+        assert session.ask("tc", "robot", "power_on").returncode == 0
+        watched.tip.wait_until_it_moves()
+    session.interrupt()
+    assert list((session.directory / "state").rglob("*.armed")) != []
+
+
 @pytest.mark.rule("S2")
 def test_after_a_stall_of_an_end_the_robot_holds_until_a_new_press(start, monkeypatch):
     session = start("taskboard")

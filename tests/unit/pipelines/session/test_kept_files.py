@@ -1,6 +1,7 @@
 """Orders that outlive the processes that took them, and what a session and `maintain` tell."""
 
 import errno
+import re
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -115,6 +116,56 @@ def test_a_stop_that_cannot_be_kept_holds_the_robot_and_is_tried_again(kept, mon
     assert kept.stopped
     session_root(SESSION).touch()
     assert kept.stopped
+
+
+@pytest.mark.rule("S6")
+def test_a_stop_belongs_to_the_robot_and_outlives_its_session_until_it_is_released(
+    kept, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+    def started(setup="lab", robot="udp:arm"):
+        """A new session in the place of the one before: what it says, and its orders."""
+        shutil.rmtree(session_root(SESSION))
+        make_session_root(SESSION)
+        kept_files.arm_stop(SESSION)
+        said = kept_files.keep_latch(SESSION, setup, robot)
+        return said, kept_files.KeptOrders(SESSION)
+
+    said, orders = started()
+    assert not said and not orders.stopped and not orders.settle()
+    # Its file was made ready.
+    with monkeypatch.context() as disk:
+        disk.setattr(Path, "write_bytes", full)
+        disk.setattr(Path, "touch", full)
+        orders.stop("a test")
+    for _ in range(2):
+        said, orders = started()
+        assert re.match(r"the emergency stop by a test of 2\d{3}-.* UTC holds the robot:", said)
+        assert orders.stopped and orders.stopped_by == "a test"
+    assert [started(*other)[0] for other in (("sea",), ("lab", "udp:other"))] == ["", ""]
+    _, orders = started()
+    # Another session with this robot was released.
+    (latch,) = (tmp_path / "state" / "kontur-av" / "stops").glob("lab-*[!d]")
+    latch.unlink()
+    assert not orders.settle() and latch.exists()
+    orders.release()
+    assert started()[0] == ""
+
+    # Without a place for it a stop holds in its session, which says so.
+    (tmp_path / "file").touch()
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.setenv(name, str(tmp_path / "file"))
+        said, orders = started()
+        assert "ends with this session" in said and "set XDG_STATE_HOME" in said
+        orders.stop("a test")
+        assert orders.stopped and "ends with this session" in orders.settle()
+        orders.release()
+        assert not orders.stopped
+    # What cannot be looked for holds.
+    denied = PermissionError(errno.EACCES, "Permission denied")
+    monkeypatch.setattr(Path, "lstat", lambda path: (_ for _ in ()).throw(denied))
+    assert "holds the robot" in started()[0]
 
 
 @pytest.mark.usefixtures("kept")
