@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TypeVar
+from operator import index
+from typing import Any, TypeVar
 
 _Choice = TypeVar("_Choice", bound=str)
 
@@ -38,3 +39,14 @@ def one_of(text: str, choices: Sequence[_Choice], what: str) -> _Choice:
         if choice == text:
             return choice
     raise ConfigError(f"{what} {text!r}: take one of {', '.join(choices)}")
+
+
+def whole(value: Any, what: str, *, least: int, most: int) -> int:
+    """Return a whole number, also of a float or of numpy. ConfigError begins with `what`."""
+    try:
+        number = int(value) if isinstance(value, float) and value.is_integer() else index(value)
+    except TypeError:
+        raise ConfigError(f"{what} {value!r}: give a whole number") from None
+    if not least <= number <= most:
+        raise ConfigError(f"{what} {number}: take {least} to {most}")
+    return number

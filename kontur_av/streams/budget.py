@@ -18,9 +18,10 @@ from collections import deque
 from collections.abc import Sequence
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, whole
 from kontur_av.meters import RateMeter, SlidingWindow
 
+LEAST_BPS, MOST_BPS = 1000, 1_000_000_000
 SHORT_WINDOW_NS = 100_000_000
 #: The limit over 100 ms, as a multiple of the share of the cap: 1.5.
 SHORT_WINDOW_SHARE = (3, 2)
@@ -73,8 +74,7 @@ class Pacer:
         guard_ns: int = 10_000_000,
         picture_ns: int = NS_PER_S // 30,
     ) -> None:
-        if cap_bps < 1000:
-            raise ConfigError(f"a cap of {cap_bps} bit/s: at least 1000 bit/s are needed")
+        cap_bps = whole(cap_bps, "cap_bps", least=LEAST_BPS, most=MOST_BPS)
         if channel_bps is not None and channel_bps < cap_bps:
             raise ConfigError(
                 f"a channel of {channel_bps} bit/s cannot carry a cap of {cap_bps} bit/s: "

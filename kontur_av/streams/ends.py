@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
 from kontur_av.codecs.decoder import DecodedPicture
-from kontur_av.errors import ConfigError, one_of, refused
+from kontur_av.errors import ConfigError, one_of, refused, whole
 from kontur_av.media import (
     BLOCK_NS,
     BLOCK_SAMPLES,
@@ -41,6 +41,7 @@ from kontur_av.media import (
     VideoCodec,
 )
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+from kontur_av.streams.budget import LEAST_BPS, MOST_BPS
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
 from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
 from kontur_av.streams.paced_sender import SenderCounts
@@ -129,8 +130,9 @@ class _Sender(_AsyncClosing, Generic[_Item]):
     """What the senders of pictures and of sound share."""
 
     def __init__(self, to: str, cap_bps: int, sdp: str | Path | None, period_ns: int) -> None:
-        self._cap_bps, self._sdp, self._period_ns = cap_bps, sdp, period_ns
-        host, _, port = to.rpartition(":")
+        self._cap_bps = whole(cap_bps, "cap_bps", least=LEAST_BPS, most=MOST_BPS)
+        self._sdp, self._period_ns = sdp, period_ns
+        host, _, port = str(to).rpartition(":")
         try:
             self._address = str(ipaddress.ip_address(host.strip("[]"))), int(port)
         except ValueError:
@@ -240,10 +242,9 @@ class PictureSender(_Sender[Picture]):
         sdp: str | Path | None = None,
         codec: VideoCodec = "h264",
     ) -> None:
-        if not 1 <= fps <= 120:
-            raise ConfigError(f"fps {fps}: take 1 to 120")
-        super().__init__(to, cap_bps, sdp, NS_PER_S // fps)
-        self._fps, self._codec = fps, one_of(codec, VIDEO_CODECS, "codec")
+        self._fps = whole(fps, "fps", least=1, most=120)
+        super().__init__(to, cap_bps, sdp, NS_PER_S // self._fps)
+        self._codec = one_of(codec, VIDEO_CODECS, "codec")
         self._source = _Pictures(1)
         self._shape: tuple[int, ...] = ()
 
@@ -254,18 +255,19 @@ class PictureSender(_Sender[Picture]):
         comes is left out. Raises ConfigError for another shape, and what ended the sending.
         """
         capture_ns = self._clock.now_ns()
-        self._check(picture)
+        picture = self._checked(picture)
         self._clock.sleep_until_ns(capture_ns + self._turn_ns())
         self._source.put(picture.copy(), capture_ns)
 
     async def asend(self, picture: Picture) -> None:
         """As `send`, in an event loop."""
         capture_ns = self._clock.now_ns()
-        self._check(picture)
+        picture = self._checked(picture)
         await asyncio.sleep(self._turn_ns() / NS_PER_S)
         self._source.put(picture.copy(), capture_ns)
 
-    def _check(self, picture: Picture) -> None:
+    def _checked(self, given: Picture) -> Picture:
+        picture = np.asarray(given)
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
             raise ConfigError(
                 f"a picture of shape {picture.shape}, {picture.dtype}: "
@@ -285,6 +287,7 @@ class PictureSender(_Sender[Picture]):
             self._begin(feed)
         elif picture.shape != self._shape:
             raise ConfigError(f"a picture of shape {picture.shape} after one of {self._shape}")
+        return picture
 
 
 class SoundSender(_Sender[Sound]):
@@ -300,23 +303,25 @@ class SoundSender(_Sender[Sound]):
 
         block: mono, 48 kHz, shape (960,), int16.
         """
-        self._check(block)
+        block = self._checked(block)
         capture_ns = self._clock.now_ns() - BLOCK_NS
         self._clock.sleep_until_ns(capture_ns + BLOCK_NS + self._turn_ns())
         self._source.put(block.copy(), capture_ns)
 
     async def asend(self, block: Sound) -> None:
         """As `send`, in an event loop."""
-        self._check(block)
+        block = self._checked(block)
         capture_ns = self._clock.now_ns() - BLOCK_NS
         await asyncio.sleep(self._turn_ns() / NS_PER_S)
         self._source.put(block.copy(), capture_ns)
 
-    def _check(self, block: Sound) -> None:
+    def _checked(self, given: Sound) -> Sound:
+        block = np.asarray(given)
         if block.dtype != np.int16 or block.shape != (BLOCK_SAMPLES,):
             raise ConfigError(
                 f"a block of shape {block.shape}, {block.dtype}: give ({BLOCK_SAMPLES},), int16"
             )
+        return block
 
 
 class StreamReceiver(_AsyncClosing):

@@ -22,7 +22,7 @@ import aiohttp
 from multidict import CIMultiDictProxy
 
 from kontur_av.clock import Clock, MonotonicClock
-from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.partner.decisions import Attempts, Doing
 from pipelines.partner.description import (
     MOST_SDP_OCTETS,
@@ -100,7 +100,7 @@ class WhipClient:
         if not answer.lstrip().startswith("v="):
             raise ProtocolError("the media server's answer is no session description")
         location = told.get("Location")
-        self._resource = None if location is None else urljoin(self._answered, location)
+        self._resource = None if location is None else _joined(self._answered, location)
         self._etag = told.get("ETag")
         return answer
 
@@ -136,7 +136,7 @@ class WhipClient:
                     method, url, data=body or None, headers=sent, allow_redirects=False
                 ) as answer:
                     if answer.status in (307, 308) and "Location" in answer.headers:
-                        url = urljoin(url, answer.headers["Location"])
+                        url = _joined(url, answer.headers["Location"])
                         continue
                     text = await _read(answer)
                     if answer.status >= 400:
@@ -147,6 +147,11 @@ class WhipClient:
             said = str(error) or type(error).__name__
             raise ConnectionError(f"no answer of {urlsplit(url).netloc}: {said}") from None
         raise ProtocolError("the media server sends us round in circles")
+
+
+def _joined(base: str, location: str) -> str:
+    with refused("the media server's Location is no address", ValueError, raising=ProtocolError):
+        return urljoin(base, location)
 
 
 def _origin(url: str) -> tuple[str, str, int | None]:

@@ -53,7 +53,7 @@ def output_of(one, octets: int) -> bytes:
     size, until = 0, time.monotonic() + PATIENCE_S
     while size < octets and time.monotonic() < until and one.poll() is None:
         if (now := os.fstat(one.data.fileno()).st_size) > size:
-            size, until = now, time.monotonic() + 5
+            size, until = now, time.monotonic() + 15
         time.sleep(0.05)
     return _data(one)
 

@@ -1,7 +1,7 @@
 """A WHIP client goes where servers send it, tells its token to few, and shows what they say."""
 
 import asyncio
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 
 import pytest
 from aiohttp import web
@@ -65,6 +65,20 @@ def test_a_redirect_to_another_origin_is_followed_and_the_session_is_there(allow
             ("POST", "/room/whip", token),
             ("DELETE", "/room/session/1", token),
         ]
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("location", ["http://[", "//[::1", "http://host:port/x", "mailto:a@b"])
+def test_a_location_that_is_no_address_ends_in_one_line(location):
+    async def run():
+        async with serving(lambda request: created(request, location=location)) as (url, _):
+            with suppress(ProtocolError):
+                assert await posted(url, token="T") == ANSWER
+        moved = {"Location": location}
+        async with serving(lambda _: web.Response(status=307, headers=moved)) as (url, _):
+            with pytest.raises((ConfigError, ConnectionError, ProtocolError)):
+                await posted(url)
 
     asyncio.run(run())
 

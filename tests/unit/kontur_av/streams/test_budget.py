@@ -161,7 +161,7 @@ def test_what_can_never_leave_is_refused_at_once():
     assert pacer.max_payload_octets == 187
     with pytest.raises(ValueError, match="at most 187"):
         put(pacer, 188)
-    with pytest.raises(ConfigError, match="at least 1000"):
+    with pytest.raises(ConfigError, match="cap_bps 0: take 1000"):
         Pacer(cap_bps=0)
     with pytest.raises(ConfigError, match="80000"):
         Pacer(cap_bps=90_000, channel_bps=80_000)
