@@ -232,13 +232,13 @@ class JoystickStatusTeller(WatchedTopic):
 
     def handle_telecommand(self, data: bytes) -> None:
         """The same for a telecommand, which has numbers of its own."""
-        self._commanded = self._carried_out(data) or self._commanded
+        self._commanded = self._carried_out(data, "by a telecommand") or self._commanded
 
-    def _carried_out(self, data: bytes) -> _Answer | None:
+    def _carried_out(self, data: bytes, *by: str) -> _Answer | None:
         request = unpack_request(data)
         if request is None:
             return None
-        return request.number, self._handle.handle_command(request.event)[:MOST_CHARACTERS]
+        return request.number, self._handle.handle_command(request.event, *by)[:MOST_CHARACTERS]
 
     def poll_status(self, now_ns: int) -> bytes | None:
         """Return the state as octets if it is due, or None."""

@@ -83,9 +83,9 @@ class RobotOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class JoystickOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What outlives the process. paused: a person halted it, and must let it go on."""
+    """What outlives the process. paused: as the operation has it."""
 
-    paused: bool
+    paused: str
     experiment: ExperimentName = ExperimentName.GERMAN
 
 

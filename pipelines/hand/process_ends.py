@@ -275,7 +275,7 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
     try:
         _tell_datagrams(context, device)
         kept = KeptOrders(context.session)
-        orders = kept.recall(JOYSTICK, JoystickOrders(paused=False), UNKNOWN_JOYSTICK)
+        orders = kept.recall(JOYSTICK, JoystickOrders(paused=""), UNKNOWN_JOYSTICK)
         handle = OperatedHandle(device, paused=orders.paused)
         setup = context.setup
         board = setup.partner_arm == "board"

@@ -129,7 +129,7 @@ class StopBit:
 
 #: Of a robot that does not know what was ordered, and of such a joystick.
 UNKNOWN_ROBOT = RobotOrders(powered=False, mode=ControlMode.TELEPRESENCE.value)
-UNKNOWN_JOYSTICK = JoystickOrders(paused=True)
+UNKNOWN_JOYSTICK = JoystickOrders(paused="halt: it is not known what was ordered before a restart")
 
 
 def within(limits: SafetyLimits, facts: RobotFacts | None) -> SafetyLimits:

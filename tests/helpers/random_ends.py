@@ -40,7 +40,7 @@ class Ends:
         self.delay_ms = self.random.choice((5, 20, 60, 150))
         self.down, self.up = deque(), deque()
         self.lives = 1
-        self.paused = False
+        self.paused = ""
         self.stopped_until = {"robot": 0, "joystick": 0}
         self.lost_until = self.blind_until = self.asserted_until = 0
         self.resume_at = self.release_at = -1
@@ -85,7 +85,7 @@ class Ends:
             self.start_joystick()
         elif what == "halt":
             self.handle.handle_command(JoystickEvent.HALT)
-            self.paused = True
+            self.paused = "halt"
             self.resume_at = now_ms + lasts_ms
             self.note(what)
         elif what == "emergency":
@@ -121,7 +121,7 @@ class Ends:
         self.person()
         if now_ms >= self.stopped_until["joystick"]:
             if 0 <= self.resume_at <= now_ms:
-                self.resume_at, self.paused = -1, False
+                self.resume_at, self.paused = -1, ""
             # The person starts it again, whatever halted it.
             if (
                 now_ms % 100 == 0

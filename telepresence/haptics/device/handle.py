@@ -36,7 +36,7 @@ class OperatedHandle:
     """
 
     def __init__(
-        self, device: JoystickDevice, *, limits: Limits | None = None, paused: bool = False
+        self, device: JoystickDevice, *, limits: Limits | None = None, paused: str = ""
     ) -> None:
         self.device = device
         self.operation = JoystickOperation(device, limits=limits, paused=paused)
@@ -75,9 +75,9 @@ class OperatedHandle:
         lit, self.robot_waits, self.robot_stopped = feedback[5], feedback[8], feedback[9]
         self._leds = 0 if lit is None else 1 << lit
 
-    def handle_command(self, event: JoystickEvent) -> str:
+    def handle_command(self, event: JoystickEvent, *by: str) -> str:
         """Carry out a person's command, as `Operation.handle_command` does."""
-        refusal = self.operation.handle_command(event, self._now_ns)
+        refusal = self.operation.handle_command(event, self._now_ns, *by)
         self.force_limit_n = self.operation.force_limit_n
         return refusal
 

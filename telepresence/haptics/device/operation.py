@@ -156,7 +156,8 @@ class JoystickOperation:
     """Runs one `device`.
 
     automatic: make the requests that lead into the application, and back into it, by itself.
-    paused: a person halted or stopped it, in an earlier life too, so it waits for a person.
+    paused: how a person halted or stopped it, in an earlier life too, so it waits for a person;
+    "": it does not.
     hands_off: the application is a functional check, without dead-man button and peer.
 
     reading: the newest reading; its position is calibrated once `calibration` is set.
@@ -174,7 +175,7 @@ class JoystickOperation:
         limits: Limits | None = None,
         automatic: bool = True,
         hands_off: bool = False,
-        paused: bool = False,
+        paused: str = "",
     ) -> None:
         self.device = device
         self.facts = device.facts
@@ -200,7 +201,7 @@ class JoystickOperation:
         self._shown: JoystickState | None = None
         self._cycles = 0
         self._retries = 0
-        #: A person has halted or stopped it, and must let it go on.
+        #: How a person has halted or stopped it, who must let it go on.
         self.paused = paused
         self._tried_ns = 0
         self._held_since_ns: int | None = None
@@ -225,13 +226,14 @@ class JoystickOperation:
     @property
     def reason(self) -> str:
         """Why it is in that state, in one line; "" if there is nothing to say."""
-        return self.machine.reason
+        machine = self.machine
+        return machine.reason or ("" if machine.state is _APPLICATION else self.paused)
 
     @property
     def given_up(self) -> bool:
         """Whether the automatic retries have ended, so that a person must act."""
         if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
-            return not self._automatic or self.paused or not self._retries_left
+            return not self._automatic or self.paused != "" or not self._retries_left
         return self.state is JoystickState.FATAL
 
     @property
@@ -283,7 +285,7 @@ class JoystickOperation:
         self.supervisor.expects_peer = not self._hands_off and event is JoystickEvent.START
         return ""
 
-    def handle_command(self, event: JoystickEvent, now_ns: int) -> str:
+    def handle_command(self, event: JoystickEvent, now_ns: int, by: str = _BY_A_PERSON) -> str:
         """Carry out a person's command to an automatic joystick; otherwise as `handle_request`.
 
         halt, stop: nothing happens by itself until a person lets it go on. They also end a
@@ -293,6 +295,7 @@ class JoystickOperation:
         resume: it goes on by itself.
         calibrate: from halted, it resumes first. A pause stays.
         test: where it is calibrated, so that a person stops it first. A pause stays.
+        by: who gives it, in words.
         """
         if event is JoystickEvent.START_RUSSIAN:
             if self.partner is not True and self.state is not JoystickState.FATAL:
@@ -300,7 +303,7 @@ class JoystickOperation:
             return self._start(ExperimentName.RUSSIAN, now_ns)
         if event is JoystickEvent.START:
             return self._start(ExperimentName.GERMAN, now_ns)
-        return self._command(event, now_ns)
+        return self._command(event, now_ns, by)
 
     def choose(self, experiment: ExperimentName) -> None:
         """The application, the present one or the next, is of this experiment."""
@@ -318,12 +321,12 @@ class JoystickOperation:
             self.choose(before)
         return refusal
 
-    def _command(self, event: JoystickEvent, now_ns: int) -> str:
+    def _command(self, event: JoystickEvent, now_ns: int, by: str = _BY_A_PERSON) -> str:
         state = self.machine.state
         if event in (JoystickEvent.HALT, JoystickEvent.STOP):
-            return self._pause(event, now_ns)
+            return self._pause(event, now_ns, by)
         if event is JoystickEvent.START and state in (JoystickState.INIT, JoystickState.STANDBY):
-            self.paused = False
+            self.paused = ""
             return ""
         if state is JoystickState.HALTED and event in _FROM_HALTED:
             refusal = self.handle_request(JoystickEvent.RESUME, now_ns)
@@ -331,7 +334,7 @@ class JoystickOperation:
                 return f"{event.value}: {refusal.partition(': ')[2]}"
         refusal = self.handle_request(event, now_ns)
         if not refusal and event in (JoystickEvent.START, JoystickEvent.RESUME):
-            self.paused = False
+            self.paused = ""
         return refusal
 
     def handle_reading(self, now_ns: int) -> JoystickReading:
@@ -394,7 +397,7 @@ class JoystickOperation:
         return OperationFigures(
             device=self.facts.name,
             state=self.machine.state.words,
-            reason=self.machine.reason or self.supervisor.reason,
+            reason=self.reason or self.supervisor.reason,
             temperature_c=_rounded(self.reading.temperature_c),
             hottest_c=_rounded(supervisor.hottest_c),
             temperature_warnings=supervisor.warnings,
@@ -483,18 +486,18 @@ class JoystickOperation:
         elif self._automatic and not self.paused:
             self._request_next(state, now_ns)
 
-    def _pause(self, event: JoystickEvent, now_ns: int) -> str:
+    def _pause(self, event: JoystickEvent, now_ns: int, by: str) -> str:
         machine = self.machine
         if machine.state is JoystickState.FATAL:
             return self.handle_request(event, now_ns)
-        self.paused = True
+        self.paused = f"{event.value} {by}"
         # The controller must know before its next cycle that its force is not exerted.
         self.force_limit_n = 0.0
         if (machine.state, event) in TRANSITIONS:
-            return self.handle_request(event, now_ns, _BY_A_PERSON)
+            return self.handle_request(event, now_ns, by)
         # There is no force here but that of a calibration or a test.
         self._run = None
-        self._abort_test(f"{event.value}: {_BY_A_PERSON}")
+        self._abort_test(f"{event.value}: {by}")
         self._output = IDLE
         self.prompt = ""
         return ""

@@ -70,8 +70,8 @@ def test_telecommands_are_answered_with_a_refusal_in_words():
 class JoystickDesk:
     """An operated handle on virtual time, with what its process tells."""
 
-    def __init__(self):
-        self.handle = OperatedHandle(SimulatedDevice(hand=Hand()))
+    def __init__(self, **orders):
+        self.handle = OperatedHandle(SimulatedDevice(hand=Hand()), **orders)
         self.teller = JoystickStatusTeller(self.handle)
         self.told = []
 
@@ -118,3 +118,22 @@ def test_a_command_is_answered_with_the_state_that_it_led_to():
     desk.run(1000)
     # Nothing has changed but the hand that took the handle.
     assert 10 <= len(desk.told) <= 13 and {one.answered for one in desk.told} == {9}
+
+
+def test_a_halt_is_named_with_who_gave_it_in_the_next_life_of_its_process_too():
+    desk = JoystickDesk()
+    desk.teller.handle_watched(True)
+    desk.run(3500)
+    desk.teller.handle_telecommand(pack_request(HandRequest(1, JoystickEvent.HALT)))
+    desk.run(20)
+    assert (desk.told[-1].state, desk.told[-1].reason) == (JoystickState.HALTED, "by a telecommand")
+    # Its process is killed, and goes on with its orders.
+    desk = JoystickDesk(paused=desk.handle.operation.paused)
+    desk.teller.handle_watched(True)
+    desk.run(5000)
+    named = JoystickState.STANDBY, "halt by a telecommand"
+    assert (desk.told[-1].state, desk.told[-1].reason) == named
+    assert desk.handle.report().reason == "halt by a telecommand"
+    desk.request(2, JoystickEvent.START)
+    desk.run(5000)
+    assert (desk.told[-1].state, desk.told[-1].reason) == (JoystickState.APPLICATION, "")
