@@ -14,11 +14,11 @@ from pipelines.mission.figures import ComponentFigures, TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
-from pipelines.report.verdict import ProcessNow
 from pipelines.session.figures import DatedEvent, Event, TrainerFigures
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
+from pipelines.session.verdict import ProcessNow
 from telepresence.haptics.figures import JoystickFigures, RobotFigures
 from telepresence.haptics.ownership import OwnerEvent, OwnershipFigures
 from telepresence.link.figures import PeerFigures, SupervisionFigures
@@ -48,8 +48,8 @@ class EventLog:
         self._pass_s: float | None = None
         self._camera = collector.setup.cameras[0] if collector.setup.cameras else ""
         self._restarts: dict[str, int] = {}
-        #: The processes of which it was told that they do not do their work.
-        self._troubled: set[str] = set()
+        #: By process that does not do its work: why, as it was told.
+        self._troubled: dict[str, str] = {}
         self._stale: dict[str, bool] = {}
         self._joystick: tuple[str, str] | None = None
         #: Of the robot.
@@ -194,9 +194,9 @@ class EventLog:
                 why = f": {process.error}" if process.error else ""
                 yield now_ns, "process", f"{process.name} was started again{why}"
             self._restarts[process.name] = process.restarts
-            if process.trouble and process.name not in self._troubled:
+            if process.trouble not in ("", self._troubled.get(process.name)):
                 yield now_ns, "process", f"{process.name}: {process.trouble}"
-        self._troubled = {process.name for process in processes if process.trouble}
+        self._troubled = {process.name: process.trouble for process in processes}
 
     def _joysticks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
         joystick = self._collector.process("joystick").find(JoystickFigures)

@@ -13,11 +13,11 @@ from pipelines.report import model
 from pipelines.report.collector import Collector
 from pipelines.report.result import fitted_line
 from pipelines.report.sections import clock_words, cpu_report, process_report
-from pipelines.report.verdict import ProcessNow, process_failures
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.session.figures import LoopFigures
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Direction, Segment
+from pipelines.session.verdict import ProcessNow, process_failures
 from telepresence.link.figures import (
     PeerFigures,
     ReceiverFigures,

@@ -1,6 +1,6 @@
 """Hands figures and events of a session from its launcher to those who show or keep them."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Literal
 
 import msgspec
@@ -11,7 +11,6 @@ from pipelines.report.collector import Collector
 from pipelines.report.model import EndTrace, SessionReport, to_json
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
-from pipelines.report.verdict import ProcessNow
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import (
     Event,
@@ -21,7 +20,6 @@ from pipelines.session.figures import (
     SessionEvents,
 )
 from pipelines.session.launcher import Child, Launcher, launcher_cpu_s
-from pipelines.session.session_switch import Activity
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import (
     CONSOLE,
@@ -30,54 +28,33 @@ from pipelines.session.topology import (
     RECORDER,
     ROS2,
     SELECTOR,
-    WATCHER_PRIORITY,
 )
+from pipelines.session.verdict import ProcessNow
 
-#: Processes that are started again, and ends that meet again, may take so long.
+#: Ends that meet again may take so long.
 PATIENCE_NS = 10 * NS_PER_S
 
 
-class SessionHealth:
-    """Call `problems` about every two seconds.
+def without_contact(report: SessionReport, start_s: float, now_ns: int) -> Iterator[str]:
+    """Yield a line for each end without the contact that is due.
 
     start_s: where in the radio's pass the session begins.
     """
-
-    def __init__(self, start_s: float) -> None:
-        self._start_s = start_s
-        #: By process that does not run: since when.
-        self._down: dict[str, int] = {}
-
-    def problems(self, report: SessionReport, down: Iterable[str], now_ns: int) -> list[str]:
-        """Return what is wrong now, a line each.
-
-        That is each failure of the report so far, each process that does not come back, and each
-        end without the contact that is due. down: the processes that do not run.
-        """
-        self._down = {name: self._down.get(name, now_ns) for name in down}
-        gone = [
-            f"{name} does not come back"
-            for name, since_ns in self._down.items()
-            if now_ns - since_ns > PATIENCE_NS
-        ]
-        return [*report.failures, *gone, *self._without_contact(report, now_ns)]
-
-    def _without_contact(self, report: SessionReport, now_ns: int) -> Iterator[str]:
-        for end, gateway in report.gateways.items():
-            told = gateway.supervision
-            if told is None or told.state == "connected":
+    for end, gateway in report.gateways.items():
+        told = gateway.supervision
+        if told is None or told.state == "connected":
+            continue
+        silent_ns = now_ns - told.begun_ns - told.since_ns
+        windows = gateway.contact
+        if windows is not None:
+            pass_s = start_s + (now_ns - told.begun_ns) / NS_PER_S
+            if not windows.acquisition_s <= pass_s < windows.loss_s:
                 continue
-            silent_ns = now_ns - told.begun_ns - told.since_ns
-            windows = gateway.contact
-            if windows is not None:
-                pass_s = self._start_s + (now_ns - told.begun_ns) / NS_PER_S
-                if not windows.acquisition_s <= pass_s < windows.loss_s:
-                    continue
-                due_ns = round((pass_s - windows.acquisition_s) * NS_PER_S)
-                silent_ns = min(silent_ns, due_ns)
-            if silent_ns > PATIENCE_NS:
-                seconds = silent_ns // NS_PER_S
-                yield f"{end}: no contact for {seconds} s, though it is due: {told.why}"
+            due_ns = round((pass_s - windows.acquisition_s) * NS_PER_S)
+            silent_ns = min(silent_ns, due_ns)
+        if silent_ns > PATIENCE_NS:
+            seconds = silent_ns // NS_PER_S
+            yield f"{end}: no contact for {seconds} s, though it is due: {told.why}"
 
 
 #: How often these two are sent figures; a message for pages is made twice as often.
@@ -88,20 +65,20 @@ _SUPERVISED_EVERY_NS = 9 * NS_PER_S // 10
 _STOPPED = "stopped by a telecommand"
 
 
-def processes_now(launcher: Launcher, now_ns: int) -> list[ProcessNow]:
+def processes_now(launcher: Launcher) -> list[ProcessNow]:
     """The processes of `launcher`; once it has ended, as they were at the end."""
-    ended_ns = launcher.ended_ns
     return [
         ProcessNow(
             name=child.row.name,
             restarts=child.restarts,
-            running=child.ran if ended_ns else child.pid is not None,
+            running=child.ran if launcher.ended_ns else child.pid is not None,
             error=child.last_error if child.policy.wanted else _STOPPED,
-            wanted=child.policy.wanted and launcher.switch.activity is Activity.RUNNING,
-            told=child.told,
-            # One that reports when it is asked to end does not hang.
-            silent_ns=max(0, (ended_ns or now_ns) - child.told_ns),
-            idle=child.row.priority == WATCHER_PRIORITY,
+            trouble=child.health.trouble(
+                launcher.observed.now_ns,
+                restarts=child.restarts,
+                error=child.last_error,
+                wanted=not child.stopped,
+            ),
         )
         for child in launcher.children
     ]
@@ -116,7 +93,7 @@ def session_report(launcher: Launcher, collector: Collector) -> SessionReport:
         restarts={child.row.name: child.restarts for child in launcher.children},
         launcher_cpu_s=launcher_cpu_s(),
         stopped_s=launcher.stopped_s,
-        processes=processes_now(launcher, launcher.clock.now_ns()),
+        processes=processes_now(launcher),
     )
 
 
@@ -142,12 +119,11 @@ class SeatFeed:
         self._monitored_ns = 0
         #: When the supervisors of processes were told last.
         self._supervised_ns = 0
-        self._health = SessionHealth(collector.setup.radio_profile.start_s)
 
     def poll_messages(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
         """Return the messages of now; none while nobody watches."""
         self._figures.handle_look(
-            processes_now(launcher, now_ns),
+            processes_now(launcher),
             switch=launcher.switch,
             started_ns=launcher.started_ns,
             now_ns=now_ns,
@@ -193,12 +169,10 @@ class SeatFeed:
             return {}
         self._monitored_ns = now_ns
         report = session_report(launcher, self._collector)
-        down = [
-            child.row.name for child in launcher.children if child.pid is None and not child.stopped
-        ]
+        start_s = self._collector.setup.radio_profile.start_s
         told = MonitoredSession(
             report=msgspec.Raw(to_json(report)),
-            problems=self._health.problems(report, down, now_ns),
+            problems=[*report.failures, *without_contact(report, start_s, now_ns)],
         )
         return dict.fromkeys(monitors, msgspec.json.encode(told))
 

@@ -38,11 +38,11 @@ from pipelines.report.session_report import (
 )
 from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.sync_figures import LIMITS
-from pipelines.report.verdict import ProcessNow
 from pipelines.seats.figures import HOLDER, PageFigures
 from pipelines.session.figures import Event, gathered
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.topology import PAGES, Segment
+from pipelines.session.verdict import ProcessNow
 
 Figure = int | float | str | bool | None
 
@@ -56,7 +56,9 @@ _PERCENTILES = ("p50", "p95", "p99", "p99.9", "max", "mean")
 
 
 class SeatProcess(msgspec.Struct, frozen=True, kw_only=True):
-    """A process. cpu: share of a core over the last 2 s; None: not known yet."""
+    """A process. cpu: share of a core over the last 2 s; None: not known yet. trouble: why it does
+    not do its work; "" if it does.
+    """
 
     name: str
     segment: str | None
@@ -64,6 +66,7 @@ class SeatProcess(msgspec.Struct, frozen=True, kw_only=True):
     restarts: int
     running: bool
     error: str
+    trouble: str
 
 
 class SeatDirection(msgspec.Struct, frozen=True, kw_only=True):

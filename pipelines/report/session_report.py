@@ -19,12 +19,12 @@ from pipelines.report.journeys import Pauses, StreamFigures
 from pipelines.report.link_report import gateway_figures, link_figures, punctuality_us
 from pipelines.report.sync_figures import disagreements, sync_section
 from pipelines.report.terms import video_lead
-from pipelines.report.verdict import ProcessNow, process_failures
 from pipelines.report.warnings import find_warnings
 from pipelines.session.figures import LoopFigures, ProbeFigures
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import FOXGLOVE, ROBOT, HapticRow
+from pipelines.session.verdict import ProcessNow, process_failures
 from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import (
     JoystickFigures,

@@ -30,12 +30,14 @@ from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import Collections, Context, become
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import RECORDER, ProcessRow, Topology
+from pipelines.session.topology import RECORDER, WATCHER_PRIORITY, ProcessRow, Topology
+from pipelines.session.verdict import ObservedTime, ProcessHealth
 
 _SHOW_NS = NS_PER_S
 #: How often pages get figures.
 FEED_NS = 500 * NS_PER_MS
 _MESSAGE_OCTETS = 1 << 20
+_LOOK_NS = 100 * NS_PER_MS
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
@@ -77,19 +79,20 @@ class Child:
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
-    #: Whether its present life has reported anything, and when: its start, if it has not.
+    #: Whether its present life has reported anything.
     told: bool = False
-    told_ns: int = 0
     #: Whether it ran when the end of the session began.
     ran: bool = False
     #: The error that the present life has reported before its end.
     told_error: str = ""
-    #: Whether its present life is to end because the session is stopped.
+    #: Whether it is not to run: its present life, if any, is to end.
     stopped: bool = False
     policy: session_switch.RestartPolicy = field(init=False)
+    health: ProcessHealth = field(init=False)
 
     def __post_init__(self) -> None:
         self.policy = session_switch.RestartPolicy(self.row.stage)
+        self.health = ProcessHealth(idle=self.row.priority == WATCHER_PRIORITY)
 
     def cpu_s(self) -> float:
         if self.pid is None:
@@ -130,6 +133,7 @@ class Launcher:
     started_ns: int = 0
     ended_ns: int = 0
     switch: session_switch.SessionSwitch = field(default_factory=session_switch.SessionSwitch)
+    observed: ObservedTime = field(default_factory=ObservedTime)
     _collections: Collections = field(default_factory=Collections)
     _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector)
     _stop: bool = False
@@ -197,6 +201,7 @@ class Launcher:
             if now_ns >= show_ns:
                 show_ns += _SHOW_NS * ((now_ns - show_ns) // _SHOW_NS + 1)
                 self._show()
+                self.observed.handle_second(now_ns)
                 self._collections.handle_flush()
             if feed_ns is not None and now_ns >= feed_ns:
                 feed_ns += FEED_NS * ((now_ns - feed_ns) // FEED_NS + 1)
@@ -251,9 +256,10 @@ class Launcher:
                 continue  # `_watch` starts them in order
             number = signal.SIGTERM if action is session_switch.SwitchAction.END else signal.SIGKILL
             for child in self.children:
-                if child.pid is not None and child.row.name not in self.pages:
+                if child.row.name not in self.pages:
                     child.stopped = True
-                    os.kill(child.pid, number)
+                    if child.pid is not None:
+                        os.kill(child.pid, number)
 
     def _feed_pages(self, now_ns: int) -> None:
         assert self.feed is not None
@@ -302,7 +308,10 @@ class Launcher:
             if not data:
                 self._close_link(child)
                 return
-            now_ns = child.told_ns = self.clock.now_ns()
+            now_ns = self.clock.now_ns()
+            if not self._ending:
+                self.observed.handle_report(now_ns)
+            child.health.handle_report(self.observed.now_ns)
             message = Message.unpack(data)
             child.told = True
             child.told_error = message.last_error or child.told_error
@@ -334,8 +343,9 @@ class Launcher:
         ours.setblocking(False)
         child.pid, child.link, child.stopped = pid, ours, False
         child.pidfd = os.pidfd_open(pid)
-        child.told, child.told_ns = False, self.clock.now_ns()
-        child.policy.handle_start(child.told_ns)
+        child.told = False
+        child.policy.handle_start(self.clock.now_ns())
+        child.health.handle_start(self.observed.now_ns)
         self._selector.register(ours, selectors.EVENT_READ, child)
         self._selector.register(child.pidfd, selectors.EVENT_READ, child)
 
@@ -392,6 +402,7 @@ class Launcher:
                 child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
             else:
                 child.last_error = child.told_error or session_switch.NO_REASON
+            child.health.handle_end(child.last_error, self.observed.now_ns)
         child.told_error = ""
         self.listener.handle_exit(child.row.name, child.last_error)
         if child.stopped:
@@ -430,12 +441,14 @@ class Launcher:
             for child in children:
                 if child.pid is not None:
                     os.kill(child.pid, number)
-            deadline_ns = self.clock.now_ns() + session_switch.PATIENCE_NS
-            while any(child.pid is not None for child in children):
-                remaining_ns = deadline_ns - self.clock.now_ns()
-                if remaining_ns <= 0:
-                    break
-                self._attend(remaining_ns)
+                    if number == signal.SIGKILL:
+                        child.health.handle_deaf()
+            left_ns = session_switch.PATIENCE_NS
+            while left_ns > 0 and any(child.pid is not None for child in children):
+                began_ns = self.clock.now_ns()
+                self._attend(_LOOK_NS)
+                # A machine that stalls leaves them as much time as before.
+                left_ns -= min(self.clock.now_ns() - began_ns, 2 * _LOOK_NS)
 
 
 def _one_line(error: BaseException) -> str:

@@ -35,27 +35,28 @@ class ProcessGrid extends HTMLElement {
     for (const process of processes) {
       cpu += process.cpu ?? 0;
       restarts += process.restarts;
-      if (!process.running) dead += 1;
+      if (!process.running || process.trouble !== "") dead += 1;
       this.#show(process, stopped);
     }
-    const ill = dead > 0 ? `, ${dead} not running` : "";
+    const ill = dead > 0 ? `, ${dead} not well` : "";
     const again = restarts > 0 ? `, ${restarts} restart${restarts > 1 ? "s" : ""}` : "";
-    const alert = dead > 0 && !stopped ? `${dead} not running` : "";
+    const alert = dead > 0 && !stopped ? `${dead} not well` : "";
     this.dispatchEvent(new CustomEvent("alert", { bubbles: true, detail: alert }));
     setText(this.#total, `${processes.length} processes, ${cpu.toFixed(2)} cores${ill}${again}`);
   }
 
   /** @param {ProcessText} process @param {boolean} stopped */
-  #show({ name, cpu, restarts, running, error }, stopped) {
+  #show({ name, cpu, restarts, running, error, trouble }, stopped) {
     const row = this.#rows.get(name);
     if (row === undefined) return;
     setText(row.cpu, cpu === null ? "–" : `${(100 * cpu).toFixed(1)} %`);
     row.meter.value = Math.min(1, cpu ?? 0);
-    const state = !running ? (stopped ? "stopped" : "dead") : restarts > 0 ? "restarted" : "well";
+    const ill = stopped && !running ? "stopped" : "dead";
+    const state = !running || trouble ? ill : restarts > 0 ? "restarted" : "well";
     setAttribute(row.item, "data-state", state);
     const again = restarts > 0 ? `restarted ${restarts}×` : "";
-    setText(row.note, running ? again : `not running ${again}`.trim());
-    setAttribute(row.item, "title", error === null || error === "" ? null : error);
+    setText(row.note, `${!running ? "not running " : trouble ? "not well " : ""}${again}`.trim());
+    setAttribute(row.item, "title", trouble || error || null);
   }
 
   /** @param {readonly ProcessText[]} processes */

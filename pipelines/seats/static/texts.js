@@ -141,9 +141,10 @@
  */
 
 /**
- * A process. cpu: share of a core over the last 2 s; None: not known yet.
+ * A process. cpu: share of a core over the last 2 s; None: not known yet. trouble: why it does not
+ * do its work; "" if it does.
  * @typedef {{name: string, segment: string | null, cpu: number | null, restarts: number, running:
- *   boolean, error: string}} ProcessText
+ *   boolean, error: string, trouble: string}} ProcessText
  */
 
 /**

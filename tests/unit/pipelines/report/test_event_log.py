@@ -13,10 +13,10 @@ from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigu
 from pipelines.mission.figures import TaskFigures
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import DEPTH, EventLog
-from pipelines.report.verdict import ProcessNow
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.task_journal import TaskRow, TaskStep
+from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
 from telepresence.haptics.figures import JoystickFigures, RobotFigures
 from telepresence.link.figures import ContactFigures, ContactWindows
@@ -128,10 +128,10 @@ def test_a_robots_fault_and_a_process_that_hangs_are_told_once(session):
     session.told("robot", RobotFigures(fault="E217: gripper jammed"))
     told = [(1_000_000, "session", "robot: it is off: E217: gripper jammed")]
     assert session.look(1, [robot]) == told
-    hung = replace(robot, silent_ns=4 * NS_PER_S)
-    ((_, what, text),) = session.look(2, [hung])
-    assert what == "process" and text.startswith("robot: it hangs: no cycle ended for 4 s")
-    assert session.look(3, [replace(hung, silent_ns=5 * NS_PER_S)]) == []
+    for at_s, words in ((2, "it hangs"), (3, "it was killed")):
+        hung = [replace(robot, trouble=words)]
+        assert session.look(at_s, hung) == [(at_s * 1_000_000, "process", f"robot: {words}")]
+        assert session.look(at_s + 0.5, hung) == []
     session.told("robot", RobotFigures())
     assert session.look(4, [robot]) == [(4_000_000, "session", "robot: its fault is reset")]
 

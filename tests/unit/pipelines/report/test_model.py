@@ -16,10 +16,10 @@ from pipelines.report.collector import Collector
 from pipelines.report.model import SessionReport, to_builtins
 from pipelines.report.seat_figures import SeatFigures
 from pipelines.report.session_report import build_report
-from pipelines.report.verdict import ProcessNow
 from pipelines.session.figures import TrainerFigures
 from pipelines.session.session_switch import SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
 
 SETUP = BUILT_IN["taskboard"]

@@ -18,7 +18,6 @@ from pipelines.report.model import to_builtins
 from pipelines.report.seat_feed import SeatFeed
 from pipelines.report.seat_figures import SeatFigures, SeatMessage
 from pipelines.report.session_report import build_report
-from pipelines.report.verdict import ProcessNow
 from pipelines.seats.figures import PageFigures
 from pipelines.session.figures import (
     LoopFigures,
@@ -29,6 +28,7 @@ from pipelines.session.figures import (
 )
 from pipelines.session.session_switch import Order, RestartPolicy, SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.session.verdict import ObservedTime, ProcessHealth, ProcessNow
 from pipelines.table import topology_of
 from telepresence.haptics.figures import SamplesReceived, SamplesSent
 
@@ -141,7 +141,7 @@ def test_the_share_of_a_core_is_that_of_the_last_two_seconds(figures):
 
 
 def test_a_message_has_the_fields_that_pages_rely_on(collector, figures):
-    robot = {"restarts": 2, "running": False, "error": "ended by SIGKILL"}
+    robot = {"restarts": 2, "running": False, "error": "ended by SIGKILL", "trouble": ""}
     # Ground control is told which page holds the handle.
     holding = message(PageFigures(watching=1, holder=3))
     for holder in (None, 3):
@@ -172,18 +172,18 @@ class Launcher:
 
     def __init__(self, *, supervisors=False):
         self.switch, self.started_ns, self.pages = SessionSwitch(), 0, {"page_space": None}
-        self.ended_ns = 0
+        self.ended_ns, self.observed = 0, ObservedTime()
         self.cpu_asked = 0
         rows = [row for row in TOPOLOGY.processes if supervisors or row.name not in SUPERVISORS]
-        facts = {
-            "restarts": 0,
-            "last_error": "",
-            "cpu_s": lambda: 0.5,
-            "told": True,
-            "told_ns": 1 << 62,
-        }
+        facts = {"restarts": 0, "last_error": "", "cpu_s": lambda: 0.5, "stopped": False}
         self.children = [
-            SimpleNamespace(row=row, pid=number, policy=RestartPolicy(row.stage), **facts)
+            SimpleNamespace(
+                row=row,
+                pid=number,
+                policy=RestartPolicy(row.stage),
+                health=ProcessHealth(),
+                **facts,
+            )
             for number, row in enumerate(rows, 1)
         ]
 

@@ -1,0 +1,117 @@
+"""Whether each process of a session did its work, for exit code, report, /healthz, pages. A core.
+
+One that was killed once or twice and came back has done its work: the report warns of it.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.session.probe import FLUSH_NS
+from pipelines.session.session_switch import NO_REASON
+
+#: A process looks every 100 ms whether a report is due. So one that has reported nothing for this
+#: long has ended no cycle for 1 s: it hangs.
+_HANGS_NS = NS_PER_S + FLUSH_NS + 100 * NS_PER_MS
+#: A process that runs only while no other one wants to may be late.
+_IDLE_HANGS_NS = 15 * NS_PER_S
+#: One that opens a device may take this long to come up, and so may one that was started again.
+_COMES_UP_NS = 15 * NS_PER_S
+#: One that hung for this long has failed, even if it goes on.
+_FAILS_NS = 5 * NS_PER_S
+#: The restarts that a process may need.
+_MOST_RESTARTS = 2
+_MEND = "`kontur-av robot check`, `joystick check` and `doctor` say more"
+_DEAF = f"it did not end when it was asked to, and was killed; {_MEND}"
+_HANGS = f"it hangs: it ended no cycle for more than 1 s; {_MEND}"
+
+
+class ObservedTime:
+    """Time in which processes reported. A launcher or a machine that stalls adds next to none."""
+
+    #: How much a report adds at most, and how much the launcher does if nobody reports.
+    _REPORT_NS, _ALONE_NS = 250 * NS_PER_MS, 100 * NS_PER_MS
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+        self._sign_ns: int | None = None
+
+    def handle_report(self, now_ns: int, *, most_ns: int = _REPORT_NS) -> None:
+        """A process has reported."""
+        if self._sign_ns is not None:
+            self.now_ns += min(now_ns - self._sign_ns, most_ns)
+        self._sign_ns = now_ns
+
+    def handle_second(self, now_ns: int) -> None:
+        """The launcher itself runs; call it once a second."""
+        self.handle_report(now_ns, most_ns=self._ALONE_NS)
+
+
+class ProcessHealth:
+    """Whether one process does its work; instants are those of `ObservedTime`.
+
+    idle: it runs with what others leave of the processors.
+    """
+
+    def __init__(self, *, idle: bool = False) -> None:
+        self._idle = idle
+        self._hangs_ns = _IDLE_HANGS_NS if idle else _HANGS_NS
+        self._fails_ns = max(_FAILS_NS, self._hangs_ns)
+        self._told = False
+        self._since_ns = 0
+        self._failed = ""
+
+    def handle_start(self, at_ns: int) -> None:
+        """A life begins."""
+        self._told, self._since_ns = False, at_ns
+
+    def handle_report(self, at_ns: int) -> None:
+        if self._told and at_ns - self._since_ns >= self._fails_ns:
+            self._failed = _HANGS
+        self._told, self._since_ns = True, at_ns
+
+    def handle_end(self, error: str, at_ns: int) -> None:
+        """A life has ended, though nobody asked it to; error: why."""
+        self.handle_start(at_ns)
+        if error == NO_REASON:
+            self._failed = f"it ended without a reason; {_MEND}"
+
+    def handle_deaf(self) -> None:
+        """It had to be killed when the session ended."""
+        if not self._idle:
+            self._failed = _DEAF
+
+    def trouble(self, at_ns: int, *, restarts: int, error: str, wanted: bool) -> str:
+        """Return what is wrong with it, in words; "" if nothing.
+
+        restarts, error: how often it was started again, and why its newest life that failed ended.
+        wanted: it is to run.
+        """
+        if self._failed or not wanted:
+            return self._failed
+        if at_ns - self._since_ns >= (self._hangs_ns if self._told else _COMES_UP_NS):
+            late = f"it has not come up in {_COMES_UP_NS // NS_PER_S} s"
+            return _HANGS if self._told else f"{late}{error and f': {error}'}; {_MEND}"
+        if restarts > _MOST_RESTARTS:
+            return f"it was started again more than {_MOST_RESTARTS} times: {error}; {_MEND}"
+        return ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessNow:
+    """A process as its launcher knows it; once the session is over, as it was at its end.
+
+    running: whether it has a life at present. error: why its newest life that failed ended.
+    trouble: as `ProcessHealth` has it.
+    """
+
+    name: str
+    restarts: int
+    running: bool
+    error: str
+    trouble: str = ""
+
+
+def process_failures(processes: Iterable[ProcessNow]) -> list[str]:
+    """Return a line for each process that did not do its work."""
+    return [f"{one.name}: {one.trouble}" for one in processes if one.trouble]
