@@ -16,10 +16,9 @@ from telepresence.haptics.sample import STATE_APPLICATION, Command
 #: A step that dissipates less counts as no step.
 _NO_COST_J = 1e-18
 #: A tip that catches up would overshoot the reference's greatest speed. From so far below that
-#: speed on, the force along the tip's motion is at most so much for each m/s that is left, and
-#: beyond it brakes. So it begins at 25 N, without a step; a limit below 0.1 m/s is overshot by a
-#: quarter.
-_SLOWING_M_S, _SLOWING_N_S_M = 0.1, 250.0
+#: speed on, the force along the tip's motion falls from so much to nothing, and beyond it brakes.
+#: With a lower greatest speed it falls within less, but with no slope that 0.5 kg cannot follow.
+_SLOWING_N, _SLOWING_M_S, _LEAST_SLOWING_M_S = 25.0, 0.1, 0.0625
 #: A hand rests while it is this near (m) to its smoothed position, with this time constant (s).
 _REST_M, _REST_S = 0.002, 0.1
 
@@ -209,10 +208,12 @@ class RobotController(PortController):
                 fx, fy = _within(still_x, limit), _within(still_y, limit)
         port.handle_flow(fx * dx + fy * dy)
         tip_m_s = sqrt(vx_m_s * vx_m_s + vy_m_s * vy_m_s)
-        if tip_m_s > speed - _SLOWING_M_S > 0.0:
+        slowing_m_s = _SLOWING_M_S if speed > _SLOWING_M_S else speed
+        if tip_m_s > speed - slowing_m_s:
             # The rest of the spring's force is lost as in a brake; the port pays for it.
             along = (fx * vx_m_s + fy * vy_m_s) / tip_m_s
-            over = along - _SLOWING_N_S_M * (speed - tip_m_s)
+            slope = _SLOWING_N / max(slowing_m_s, _LEAST_SLOWING_M_S)
+            over = along - slope * (speed - tip_m_s)
             if over > 0.0:
                 fx -= over * vx_m_s / tip_m_s
                 fy -= over * vy_m_s / tip_m_s

@@ -247,9 +247,11 @@ def test_s9_speed_and_workspace_have_limits():
 
 
 @pytest.mark.rule("S9")
-@pytest.mark.parametrize("limit_m_s", [0.2, 0.5])
+@pytest.mark.parametrize("limit_m_s", [0.03, 0.05, 0.08, 0.1, 0.2, 0.5])
 def test_s9_the_tip_that_catches_up_is_no_faster_than_its_limit(limit_m_s):
-    bench = Bench(replace(LIMITS, speed_m_s=limit_m_s)).press()
+    slower = min(limit_m_s, LIMITS.approach_m_s)
+    limits = replace(LIMITS, speed_m_s=limit_m_s, approach_m_s=slower, slow_m_s=min(slower, 0.03))
+    bench = Bench(limits).press()
     bench.move(-0.05)
     most_m_s = 0.0
     for _ in range(1500):
