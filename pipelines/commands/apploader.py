@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         if not args.folder.is_dir():
             raise ConfigError(f"{args.folder} is no folder")
         store = DiskStore(args.folder)
-        with refused(f"{args.folder}", OSError, ValueError):
+        with refused(args.folder):
             files = {name: file for name, file in read_folder(store, "").items() if name != SFV}
             replace_file(store, SFV, sfv_text(files))
         return 0

@@ -58,7 +58,8 @@ class Program:
             self._process = subprocess.Popen(
                 [str((folder / RUN).absolute()), *self._arguments],
                 cwd=folder,
-                env={**os.environ, VARIABLE: str(self._status)},
+                # Python would replace signed files of `__pycache__`.
+                env={"PYTHONDONTWRITEBYTECODE": "1", **os.environ, VARIABLE: str(self._status)},
                 stdin=subprocess.DEVNULL,
                 # Its children end with it, and Ctrl-C does not reach it twice.
                 start_new_session=True,
@@ -132,10 +133,12 @@ class DiskStore(FileStore):
         top = self.root / folder
         found = []
         for at, folders, names in os.walk(top):
-            # A link may lead out of the folder, so it is no file of it.
-            folders[:] = [each for each in folders if not (Path(at) / each).is_symlink()]
-            paths = (Path(at) / name for name in names)
-            found += [each.relative_to(top).as_posix() for each in paths if not each.is_symlink()]
+            here = Path(at).relative_to(top)
+            # A link to a folder may lead out of this one.
+            links = [each for each in folders if (Path(at) / each).is_symlink()]
+            found += [(here / name).as_posix() for name in (*names, *links)]
+            if not names and not folders and at != str(top):
+                found.append(f"{here.as_posix()}/")
         return sorted(found)
 
     def read(self, path: str) -> bytes:
@@ -164,9 +167,6 @@ class DiskStore(FileStore):
 
     def rename(self, old: str, new: str) -> None:
         source, target = self.root / old, self.root / new
-        if source.is_dir() and target.is_dir():
-            # Removing all of its files leaves its folders.
-            _remove_empty(target)
         source.replace(target)
         _sync(target.parent)
         if source.parent != target.parent:
@@ -175,15 +175,15 @@ class DiskStore(FileStore):
     def remove(self, path: str) -> None:
         place = self.root / path
         try:
-            place.unlink()
+            if path.endswith("/"):
+                place.rmdir()
+            else:
+                place.unlink()
         except (FileNotFoundError, NotADirectoryError):
             return
-        _sync(place.parent)
-
-
-def _remove_empty(folder: Path) -> None:
-    for at, _, _ in os.walk(folder, topdown=False):
-        Path(at).rmdir()
+        while (place := place.parent) != self.root and not any(place.iterdir()):
+            place.rmdir()
+        _sync(place)
 
 
 def _sync(folder: Path) -> None:

@@ -51,7 +51,7 @@ from telepresence.upkeep.file_store import (
     read_folder,
     replace_file,
 )
-from telepresence.upkeep.manifest import RUN, SFV, fault_of, parse_sfv, write_copy
+from telepresence.upkeep.manifest import SFV, executables, fault_of, parse_sfv, write_copy
 from telepresence.upkeep.version_stack import parse_status
 
 _PATIENCE_S = 10.0
@@ -102,13 +102,12 @@ def _fetch(ftp: ftplib.FTP, source: str, store: FileStore, folder: str) -> None:
     listed = _octets(ftp, f"{source}/{SFV}", _LARGEST_LIST)
     if fault_of(store, folder) is None and store.read(f"{folder}/{SFV}") == listed:
         return
-    left = _LARGEST_COPY
+    left, programs = _LARGEST_COPY, executables(listed)
     files = {SFV: StoredFile(listed)}
     for path in parse_sfv(listed):
         octets = _octets(ftp, f"{source}/{path}", left)
         left -= len(octets)
-        # FTP tells no modes.
-        files[path] = StoredFile(octets, executable=path == RUN)
+        files[path] = StoredFile(octets, executable=path in programs)
     fill_folder(store, folder, files, SFV)
 
 

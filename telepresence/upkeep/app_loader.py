@@ -17,7 +17,7 @@ from enum import Enum
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.upkeep.file_store import FileStore, StoredFile, read_folder, replace_file
+from telepresence.upkeep.file_store import FileStore, StoredFile, read_listed, replace_file
 from telepresence.upkeep.manifest import RUN, SFV, fault_of, fault_of_files, parse_sfv, write_copy
 
 #: The time for an application to say that it has started.
@@ -390,7 +390,7 @@ def copy_to_backup(store: FileStore, device: BootDevice) -> None:
         raise ConfigError(f"prime is invalid ({fault}), so backup stays as it is")
     if _edition(store, prime) != _worked(store):
         raise ConfigError("prime has not worked yet, so backup stays as it is: run it first")
-    write_copy(store, backup.value, read_folder(store, prime.value))
+    write_copy(store, backup.value, read_listed(store, prime.value, SFV, parse_sfv))
 
 
 def bootable(store: FileStore, device: BootDevice) -> list[Copy]:

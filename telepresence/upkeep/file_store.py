@@ -3,9 +3,11 @@
 A folder is written so that it counts only when it is whole: its list of checksums comes last.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
+
+from kontur_av.errors import ConfigError, refused
 
 #: What a file has in its name until it is whole.
 UNFINISHED = ".unfinished"
@@ -14,11 +16,14 @@ UNFINISHED = ".unfinished"
 class FileStore(Protocol):
     """Files by their path, with `/` between folders. Each method returns when it is safe.
 
-    OSError of a missing file or a bad disk passes through. Paths with symbolic links are not read.
+    OSError of a missing file or a bad disk passes through, as of what is no plain file.
     """
 
     def files(self, folder: str) -> list[str]:
-        """Paths of all files below a folder, from there, sorted; none if it is not there."""
+        """Paths of all files below a folder, from there, sorted; none if it is not there.
+
+        Links, sockets and the like count as files; an empty folder's path ends with `/`.
+        """
         ...
 
     def read(self, path: str) -> bytes: ...
@@ -34,7 +39,7 @@ class FileStore(Protocol):
         ...
 
     def remove(self, path: str) -> None:
-        """Remove a file; nothing happens if it is not there."""
+        """Remove a file and the folders that it leaves empty; nothing if it is not there."""
         ...
 
 
@@ -47,11 +52,34 @@ class StoredFile:
 
 
 def read_folder(store: FileStore, folder: str) -> dict[str, StoredFile]:
-    """All files below a folder; "" is the store itself."""
+    """All files below a folder; "" is the store itself. ConfigError for what no copy can hold."""
     top = f"{folder}/" if folder else ""
+    files = {}
+    for path in store.files(folder):
+        if path.endswith("/"):
+            raise ConfigError(f"{path!r} is an empty folder: put a file into it, or remove it")
+        if not safe_path(path):
+            raise ConfigError(f"{path!r} is no name for every machine: rename the file")
+        with refused(f"{path!r}: put a plain file in its place, or remove it"):
+            files[path] = StoredFile(store.read(top + path), store.is_executable(top + path))
+    return files
+
+
+def read_listed(
+    store: FileStore, folder: str, last: str, paths_of: Callable[[bytes], Iterable[str]]
+) -> dict[str, StoredFile]:
+    """A folder's list `last`, and those files of it that are there. ValueError if it is damaged.
+
+    What a program has written into its folder is not in the list, and may be anything.
+    """
+    there = set(store.files(folder))
+    if last not in there:
+        return {}
+    listed = [last, *paths_of(store.read(f"{folder}/{last}"))]
     return {
-        path: StoredFile(store.read(top + path), store.is_executable(top + path))
-        for path in store.files(folder)
+        path: StoredFile(store.read(f"{folder}/{path}"), store.is_executable(f"{folder}/{path}"))
+        for path in listed
+        if path in there
     }
 
 
@@ -74,6 +102,6 @@ def fill_folder(store: FileStore, folder: str, files: Mapping[str, StoredFile], 
 
 
 def safe_path(path: str) -> bool:
-    """Whether a path from a list stays within its folder."""
+    """Whether a path from a list stays within its folder, and can stand in a line."""
     parts = path.split("/")
-    return "\0" not in path and "\\" not in path and not {"", ".", ".."} & set(parts)
+    return path.isprintable() and "\\" not in path and not {"", ".", ".."} & set(parts)

@@ -69,8 +69,7 @@ def _take(archive: tarfile.TarFile, member: tarfile.TarInfo, files: dict[str, St
         return
     if not member.isreg() or member.issparse():
         raise ConfigError(f"the archive has {name!r}, which is no plain file")
-    # What is not printable cannot stand in a list of checksums either.
-    if not safe_path(name) or not name.isprintable() or name in files:
+    if not safe_path(name) or name in files:
         raise ConfigError(f"the archive has the path {name!r}, or has it twice")
     content = archive.extractfile(member)
     assert content is not None

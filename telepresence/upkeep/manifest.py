@@ -22,23 +22,27 @@ from telepresence.upkeep.file_store import (
     FileStore,
     StoredFile,
     fill_folder,
-    read_folder,
+    read_listed,
     safe_path,
 )
 
 #: The list in each copy of the software.
 SFV = "files.sfv"
+#: Our own lines, comments for others: FTP tells no modes.
+_EXECUTABLE = "; executable: "
 _LINE = re.compile(r"(.*\S)\s+([0-9A-Fa-f]{8})")
 
 
 def sfv_text(files: Mapping[str, StoredFile]) -> bytes:
-    """Return the list of these files. Raises ValueError for a path that no line can hold."""
+    """Return the list of these files. Raises ConfigError for a path that no line can hold."""
     lines = ["; Checksums (CRC-32) of this copy; cksfv verifies them.\n"]
     for path, file in sorted(files.items()):
+        if file.executable:
+            lines.append(f"{_EXECUTABLE}{path}\n")
         line = f"{path} {crc32(file.octets):08X}"
         found = _LINE.fullmatch(line)
         if found is None or found[1] != path or path.startswith(";"):
-            raise ValueError(f"{path!r} cannot stand in a list of checksums: rename the file")
+            raise ConfigError(f"{path!r} cannot stand in a list of checksums: rename the file")
         lines.append(f"{line}\n")
     return "".join(lines).encode()
 
@@ -56,6 +60,12 @@ def parse_sfv(octets: bytes) -> dict[str, int]:
     if not sums:
         raise ValueError("its list of checksums is empty")
     return sums
+
+
+def executables(octets: bytes) -> set[str]:
+    """Return which files of a sound list are programs; `RUN` always is."""
+    marked = octets.decode().split(f"\n{_EXECUTABLE}")[1:]
+    return {RUN, *(after.partition("\n")[0] for after in marked)}
 
 
 def fault_of_files(files: Mapping[str, StoredFile]) -> str | None:
@@ -77,9 +87,11 @@ def fault_of_files(files: Mapping[str, StoredFile]) -> str | None:
 def fault_of(store: FileStore, folder: str) -> str | None:
     """Return what is wrong with the copy in a folder, None if nothing is."""
     try:
-        return fault_of_files(read_folder(store, folder))
+        return fault_of_files(read_listed(store, folder, SFV, parse_sfv))
     except OSError as error:
         return f"it cannot be read: {error.strerror or error}"
+    except ValueError as error:
+        return str(error)
 
 
 def write_copy(store: FileStore, folder: str, files: Mapping[str, StoredFile]) -> None:
@@ -111,7 +123,10 @@ def signed_manifest(version: str, files: Mapping[str, StoredFile], key: MachineK
     public = key.private.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
     signature = key.private.sign(_signed(version, sums))
     manifest = Manifest(version=version, files=sums, key=public.hex(), signature=signature.hex())
-    return msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1) + b"\n"
+    octets = msgspec.json.format(msgspec.json.encode(manifest, order="sorted"), indent=1) + b"\n"
+    if len(octets) > _LARGEST_MANIFEST:
+        raise ConfigError(f"version {version} has too many files: its manifest is above 1 MB")
+    return octets
 
 
 def signer(octets: bytes) -> tuple[Manifest, MachineIdentity]:

@@ -33,10 +33,10 @@ from telepresence.upkeep.file_store import (
     UNFINISHED,
     FileStore,
     StoredFile,
-    read_folder,
+    read_listed,
     replace_file,
 )
-from telepresence.upkeep.manifest import MANIFEST, check_version
+from telepresence.upkeep.manifest import MANIFEST, check_version, signer
 
 #: The name of the version that is never deleted.
 ELEMENTARY = "elementary"
@@ -419,7 +419,7 @@ class VersionDirectory:
     def check(self, name: str) -> None:
         """Raise ValueError, with the reason, unless a version is whole and signed."""
         try:
-            files = read_folder(self._store, name)
+            files = read_listed(self._store, name, MANIFEST, lambda text: signer(text)[0].files)
         except OSError as error:
             raise ValueError(f"it cannot be read: {error.strerror or error}") from None
         check_version(files, name, self._trusted)
@@ -474,4 +474,4 @@ class VersionDirectory:
 
 
 def _is_name(name: str) -> bool:
-    return _NAME.fullmatch(name) is not None and not name.endswith(UNFINISHED) and name != STACK
+    return _NAME.fullmatch(name) is not None and UNFINISHED not in name and name != STACK

@@ -82,6 +82,25 @@ def test_versions_that_fail_are_replaced_by_the_last_that_worked(tmp_path, trace
     assert versions.states()["v1"] == "defective set aside"
 
 
+def test_a_version_in_python_stays_whole_with_the_cache_it_was_signed_with_and_its_own_files(
+    tmp_path, trace, versions, monkeypatch
+):
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+    versions.add(make(tmp_path, "elementary"))
+    start = "#!/bin/sh\nmkdir log; mkfifo log/pipe\nexec {python} main.py\n"
+    place = make(tmp_path, "py", text=start.format(python=sys.executable))
+    (place / "main.py").write_text("import helper")
+    (place / "helper.py").write_text("import os; print('py', file=open(os.environ['TRACE'], 'a'))")
+    subprocess.run([sys.executable, "-c", "import helper"], cwd=place, check=True)
+    assert list((place / "__pycache__").iterdir())
+    versions.add(place)
+    versions.do("start", "py")
+    with versions.running():
+        eventually(lambda: trace()[-1:] == ["elementary"])
+    # Each time it ended by itself, and no file was found damaged.
+    assert trace() == ["py"] * 4 + ["elementary"]
+
+
 def test_a_person_confirms_the_version_that_runs_and_removes_another(tmp_path, trace, versions):
     versions.add(make(tmp_path, "first"), "--name", "elementary")
     versions.add(make(tmp_path, "v1", UNSURE))

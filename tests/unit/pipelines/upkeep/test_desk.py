@@ -1,13 +1,27 @@
-"""The folder of an inbox on a disk: read, renamed, answered."""
+"""Folders on a disk: an inbox, versions and copies with whatever a program writes into them."""
 
 import json
+import os
+import socket
 import tarfile
 
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import InboxFolder
+from pipelines.upkeep.desk import DiskStore, InboxFolder
+from telepresence.link.protection.identity import MachineKey
+from telepresence.upkeep.app_loader import BootDevice, Copy, copy_to_backup, note_worked
+from telepresence.upkeep.file_store import StoredFile, read_folder
 from telepresence.upkeep.inbox import REST_NS
+from telepresence.upkeep.manifest import (
+    MANIFEST,
+    SFV,
+    executables,
+    fault_of,
+    signed_manifest,
+    write_copy,
+)
+from telepresence.upkeep.version_stack import VersionDirectory
 
 
 class Keeper:
@@ -84,3 +98,70 @@ def test_a_link_out_of_the_folder_is_not_followed(keeper):
     (keeper.folder / "v2.tar").symlink_to(elsewhere)
     assert keeper.work() == {}
     assert keeper.taken == []
+
+
+FILES = {"run": StoredFile(b"#!/bin/sh\n", executable=True), "lib/tool": StoredFile(b"1", True)}
+
+
+def bound(path):
+    os.chdir(path.parent)
+    socket.socket(socket.AF_UNIX).bind(path.name)
+
+
+#: By name: what makes an entry that no copy can hold.
+ODD = {
+    "inside": lambda path: path.symlink_to("run"),
+    "outside": lambda path: path.symlink_to("/etc"),
+    "dangling": lambda path: path.symlink_to("nowhere"),
+    "itself": lambda path: path.symlink_to("itself"),
+    "log": lambda path: (path / "empty").mkdir(parents=True),
+    "pipe": os.mkfifo,
+    "socket": bound,
+    "two\nlines": lambda path: path.write_text(""),
+    "back\\slash": lambda path: path.write_text(""),
+    os.fsdecode(b"latin\xe9"): lambda path: path.write_text(""),
+}
+
+
+@pytest.mark.parametrize("name", ODD, ids=range(len(ODD)))
+def test_what_no_copy_can_hold_is_refused_when_a_folder_is_taken_over(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    write_copy(DiskStore(tmp_path), "v", FILES)
+    assert {**read_folder(DiskStore(tmp_path), "v"), SFV: None} == {**FILES, SFV: None}
+    ODD[name](tmp_path / "v" / name)
+    with pytest.raises(ConfigError) as refused:
+        read_folder(DiskStore(tmp_path), "v")
+    assert repr(name)[1:-1] in str(refused.value)
+
+
+def test_whatever_a_program_writes_into_its_folder_a_version_and_a_copy_stay_whole(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    store, key = DiskStore(tmp_path), MachineKey.from_seed(bytes(32))
+    versions = VersionDirectory(store, {key.identity})
+    signed = {**FILES, MANIFEST: StoredFile(signed_manifest("v", FILES, key))}
+    versions.add("v", signed)
+    for copy in (Copy.SD_1, Copy.SD_2):
+        write_copy(store, copy.value, FILES)
+    note_worked(store, Copy.SD_1)
+    assert executables(store.read("sd/1/files.sfv")) == {"run", "lib/tool"}
+    for folder in ("v", "sd/1"):
+        for name, make in {**ODD, "__pycache__": lambda path: bound(path / "x")}.items():
+            (tmp_path / folder / "lib" / name).parent.mkdir(exist_ok=True)
+            if name == "__pycache__":
+                (tmp_path / folder / "lib" / name).mkdir()
+            make(tmp_path / folder / "lib" / name)
+    versions.check("v")
+    assert fault_of(store, "sd/1") is None
+    copy_to_backup(store, BootDevice.SD)
+    assert set(store.files("sd/2")) == {*FILES, SFV}
+    # The new version of this name has none of it, and the removed one leaves nothing.
+    versions.add("v", signed)
+    assert store.files("v") == sorted(signed)
+    (tmp_path / "v/lib/tool").unlink()
+    (tmp_path / "v/lib/tool").symlink_to("/etc/hostname")
+    with pytest.raises(ValueError, match="cannot be read"):
+        versions.check("v")
+    versions.forget("v")
+    assert not (tmp_path / "v").exists()
