@@ -1,8 +1,9 @@
 """A page's hand, joystick, channel and robot on virtual time, interrupted at random.
 
 The person moves all the time, and lets go of the dead-man button at random, not when something
-happens. The judge knows when an interruption began and when the button went down, nothing of the
-safety envelope.
+happens. The path may be late by up to 10 s. The judge knows when an interruption began, when the
+button went down, and when the hand gave the newest command at the robot; nothing of the safety
+envelope.
 """
 
 from collections import deque
@@ -27,6 +28,12 @@ DEEDS = (
     *("lost", "lost", "stop robot", "stop joystick", "kill robot", "kill joystick"),
     *("halt", "emergency", "blind", "owner", "camera"),
 )
+#: In every second session the path is late more often than anything else happens.
+LATE_DEEDS = (*DEEDS, *["late"] * 2 * len(DEEDS))
+#: Older commands move nothing: beyond the limit, the robot knows of it after two of its probes.
+OLD_MS = round(LIMITS.hand_max_age_s * 1000) + 300
+#: The latest of a late path, with its queue.
+LATEST_MS = 20_000
 #: Datagrams that a socket holds for an end that is stopped.
 SOCKET_DEPTH = 277
 
@@ -37,18 +44,22 @@ class Ends:
     def __init__(self, seed):
         self.random = Random(seed)
         self.now_ms = 0
+        self.deeds = LATE_DEEDS if seed % 2 else DEEDS
         self.delay_ms = self.random.choice((5, 20, 60, 150))
         self.down, self.up = deque(), deque()
         self.lives = 1
         self.paused = ""
         self.stopped_until = {"robot": 0, "joystick": 0}
-        self.lost_until = self.blind_until = self.asserted_until = 0
+        self.lost_until = self.blind_until = self.asserted_until = self.late_until = 0
+        self.late_ms = {}
+        self.given_ms = self.young_ms = 0
         self.resume_at = self.release_at = -1
         self.start_joystick()
         self.start_robot()
-        self.interruptions = [(0, "the start")]
+        #: When the robot knows, since when a press counts, and what.
+        self.interruptions = [(0, 0, "the start")]
         self.pressed, self.press_until = False, 0
-        self.presses, self.released_ms = [], 0
+        self.presses, self.press_came_ms, self.released_ms = deque(), 0, 0
         self.heard_ms = 0
         self.moved_ms = 0
         self.sequence = 0
@@ -65,14 +76,19 @@ class Ends:
         self.ground = RobotSide(link=robot_link(life=self.lives), envelope=self.envelope)
         self.born_ms = self.now_ms
 
-    def note(self, what):
-        self.interruptions.append((self.now_ms, what))
+    def slack_ms(self):
+        """How much later than usual the robot may hear of what happens at the hand."""
+        return OLD_MS if self.now_ms < self.late_until + LATEST_MS + SETTLES_MS else 0
+
+    def note(self, what, *, at_hand=False):
+        knows_ms = self.now_ms + (self.slack_ms() if at_hand else 0)
+        self.interruptions.append((knows_ms, self.now_ms, what))
 
     def interrupt(self):
         """Do one thing to the session."""
         random, now_ms = self.random, self.now_ms
         lasts_ms = random.choice((100, 250, 350, 450, 600, 3000))
-        what = random.choice(DEEDS)
+        what = random.choice(self.deeds)
         if what == "lost":
             self.lost_until = now_ms + lasts_ms
         elif what.startswith("stop"):
@@ -81,16 +97,20 @@ class Ends:
             self.note(what)
             self.start_robot()
         elif what == "kill joystick":
-            self.note(what)
+            self.note(what, at_hand=True)
             self.start_joystick()
         elif what == "halt":
             self.handle.handle_command(JoystickEvent.HALT)
             self.paused = "halt"
             self.resume_at = now_ms + lasts_ms
-            self.note(what)
+            self.note(what, at_hand=True)
         elif what == "emergency":
             self.asserted_until = now_ms + lasts_ms
             self.release_at = now_ms + 2 * lasts_ms
+        elif what == "late":
+            ways = random.choice((("down",), ("down",), ("up",), ("down", "up")))
+            self.late_ms = {way: random.choice((600, 1500, 4000, 10_000)) for way in ways}
+            self.late_until = now_ms + 4 * lasts_ms
         elif what == "blind":
             self.blind_until = now_ms + lasts_ms
         else:
@@ -128,13 +148,13 @@ class Ends:
                 and not self.paused
                 and self.handle.handle_command(JoystickEvent.START) == ""
             ):
-                self.note("a start")
+                self.note("a start", at_hand=True)
             self.handle.stop = now_ms < self.asserted_until
             self.handle.blind = now_ms < self.blind_until
             while self.up and self.up[0][0] <= now_ms:
                 self.space.handle_datagram(self.up.popleft()[1], now_ns)
             self.space.handle_cycle(now_ns, MS)
-            self.send(self.space, self.down)
+            self.send(self.space, "down")
         if now_ms >= self.stopped_until["robot"]:
             if 0 <= self.release_at <= now_ms:
                 self.release_at = -1
@@ -142,34 +162,47 @@ class Ends:
                     self.note("the emergency stop's end")
             heard = self.ground.link.received
             while self.down and self.down[0][0] <= now_ms:
-                self.ground.handle_datagram(self.down.popleft()[1], now_ns)
+                _, datagram, self.given_ms = self.down.popleft()
+                self.ground.handle_datagram(datagram, now_ns)
+                while self.presses and self.presses[0] <= self.given_ms:
+                    self.presses.popleft()
+                    self.press_came_ms = now_ms
             if self.ground.link.received != heard:
                 if now_ms - self.heard_ms > GAP_MS:
                     self.note("commands were missing")
                 self.heard_ms = now_ms
             self.ground.handle_cycle(now_ns, MS)
-            self.send(self.ground, self.up)
+            self.send(self.ground, "up")
         self.judge()
         self.now_ms += 1
 
-    def send(self, side, way):
-        sample = side.poll_transmit(self.now_ms * MS)
-        if sample is not None and self.now_ms >= self.lost_until and len(way) < SOCKET_DEPTH:
-            way.append((self.now_ms + self.delay_ms, sample))
+    def send(self, side, name):
+        way, now_ms = getattr(self, name), self.now_ms
+        late_ms = self.late_ms.get(name, 0) if now_ms < self.late_until else 0
+        due_ms = max(now_ms + self.delay_ms + late_ms, way[-1][0] if way else 0)
+        sample = side.poll_transmit(now_ms * MS)
+        # What a late path holds is in no socket.
+        room = len(way) < SOCKET_DEPTH or due_ms > now_ms + self.delay_ms
+        if sample is not None and now_ms >= self.lost_until and room:
+            way.append((due_ms, sample, now_ms))
 
     def judge(self):
         """The robot may move only by a press that came after the newest interruption."""
         now_ms, robot = self.now_ms, self.ground.robot
+        if now_ms - self.given_ms <= OLD_MS:
+            self.young_ms = now_ms
         if now_ms - self.born_ms < SETTLES_MS or now_ms < self.stopped_until["robot"]:
             return
         if hypot(robot.vx_m_s, robot.vy_m_s) < MOVES_M_S:
             return
         self.moved_ms += 1
         settled_ms = now_ms - SETTLES_MS
-        since_ms, what = max(each for each in self.interruptions if each[0] <= settled_ms)
-        if not self.presses or self.presses[-1] <= since_ms - self.delay_ms:
+        if self.young_ms < settled_ms:
+            self.wrong.append(f"{now_ms}: moves by commands of {self.given_ms}")
+        _, since_ms, what = max(each for each in self.interruptions if each[0] <= settled_ms)
+        if self.press_came_ms <= since_ms:
             self.wrong.append(f"{now_ms}: moves after {what} at {since_ms}, without a new press")
-        elif not self.pressed and self.released_ms < settled_ms - self.delay_ms:
+        elif not self.pressed and self.released_ms < settled_ms - self.delay_ms - self.slack_ms():
             self.wrong.append(f"{now_ms}: moves without the button")
 
     def run(self, cycles):
