@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 import pytest
+from common import PATIENCE_S
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
@@ -202,7 +203,7 @@ def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
             running += [start(_hold_for_ever), start(_publish_for_ever)]
             seen = []
             while len(seen) < 20:
-                assert told.poll(20), "no more samples arrive"
+                assert told.poll(PATIENCE_S), "no more samples arrive"
                 seen.append(told.recv())
             assert seen[-1] > seen[-10]
             for _ in range(2):

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from common import repeats
+from common import PATIENCE_S, repeats
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
@@ -88,7 +88,7 @@ def test_no_wakeup_is_lost_in_thousands(session, start):
         start(_acknowledge_each, tell, depth)
         ends.append(told)
     for told in ends:
-        assert told.poll(20)
+        assert told.poll(PATIENCE_S)
         assert told.recv_bytes() == b"ready"
     with TopicBus(session) as bus:
         writer = bus.writer("numbers", max_octets=8)
@@ -96,7 +96,7 @@ def test_no_wakeup_is_lost_in_thousands(session, start):
             number = sequence.to_bytes(8)
             writer.publish_octets(number, stamp(sequence))
             for told in ends:
-                assert told.poll(10), f"asleep since {sequence}"
+                assert told.poll(PATIENCE_S), f"asleep since {sequence}"
                 assert told.recv_bytes() == number
 
 
@@ -116,7 +116,7 @@ def test_readers_killed_while_waiting_cost_others_no_wakeup(session, start):
             told, tell = PROCESSES.Pipe(duplex=False)
             victims = [start(_sleep_for_ever, tell) for _ in range(3)]
             for _ in victims:
-                assert told.poll(20)
+                assert told.poll(PATIENCE_S)
                 told.recv_bytes()
             for victim in victims:
                 victim.kill()
