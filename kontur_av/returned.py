@@ -21,8 +21,8 @@ T = TypeVar("T")
 _Convert = Callable[[Any], Any]
 
 
-class PartError(Exception):
-    """A user's part returned what cannot be used. Its text is one line with the mend."""
+class PartError(ConfigError):
+    """A user's part cannot be used as it is. Its text is one line with the mend."""
 
 
 class _UnfitError(Exception):
@@ -49,7 +49,7 @@ def one_line(words: object) -> str:
 
 def fault_of(call: str, error: Exception) -> str:
     """Return, in one line, that a call of a part has failed, and how."""
-    if isinstance(error, PartError | ConfigError):
+    if isinstance(error, ConfigError):
         return one_line(error)
     return f"{call} failed: {one_line(f'{type(error).__name__}: {error}')}"
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import fields
 
+from kontur_av.returned import PartError, fault_of
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.desks import JoystickStatusTeller, RobotDesk
 from pipelines.hand.hand_topics import (
@@ -33,6 +34,7 @@ from pipelines.hand.safety_ends import (
     watch_camera,
     within,
 )
+from pipelines.hand.timed_calls import timed
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
 from pipelines.session.process import Context
@@ -73,7 +75,7 @@ from telepresence.haptics.figures import HandInputFigures
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
-from telepresence.haptics.specs import open_device, open_robot
+from telepresence.haptics.specs import load_robot, open_device, open_robot
 from telepresence.haptics.udp_devices import UdpJoystick, UdpRobot
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut, Skill
 from telepresence.tasks.definitions import ControlMode
@@ -184,6 +186,9 @@ def run_robot(context: Context) -> None:
 
     In a session with tasks it is off until the kernel or a person switches it on.
     """
+    if context.takes_power:
+        _take_power(context)
+        return
     robot = open_robot(context.topology.options.robot, context.setup.more_axes)
     with closing(robot), context.open_bus() as bus:
         if isinstance(robot, DrivenRobot):
@@ -261,6 +266,22 @@ def run_robot(context: Context) -> None:
             seldom=seldom,
             route=route,
         )
+
+
+def _take_power(context: Context) -> None:
+    """Raises PartError if the robot may still have power."""
+    device = load_robot(context.topology.options.robot, context.setup.more_axes)
+    anew = ("configure", "deactivate", "power_off")
+    wrong = []
+    with timed(device) as calls:
+        for name in ("emergency_off",) if hasattr(device, "emergency_off") else anew:
+            try:
+                getattr(calls, name)()
+            except Exception as error:
+                # One that does not brake may still lose its power.
+                wrong += [fault_of(f"{name}()", error)] * (name != "deactivate")
+    if wrong:
+        raise PartError("; ".join(wrong))
 
 
 def run_joystick(context: Context, *, skill: float | None = None) -> None:

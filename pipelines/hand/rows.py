@@ -33,7 +33,7 @@ from pipelines.session.topology import (
     given,
     partner_ports,
 )
-from telepresence.haptics.specs import PAGE, ROS2_HAND
+from telepresence.haptics.specs import PAGE, ROS2_HAND, is_simulated
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
@@ -48,6 +48,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.LINK,
             run="pipelines.hand.process_ends:run_robot",
+            powered=not is_simulated(options.robot),
             stoppable=False,
             priority=LOOP_PRIORITY,
             reads=(

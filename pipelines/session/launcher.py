@@ -23,9 +23,11 @@ from typing import Protocol
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
+from kontur_av.returned import PartError
 from pipelines.session import session_switch
 from pipelines.session.command_process import ENDING, handled
 from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import Collections, Context, become
@@ -37,6 +39,8 @@ _SHOW_NS = NS_PER_S
 #: How often pages get figures.
 FEED_NS = 500 * NS_PER_MS
 _MESSAGE_OCTETS = 1 << 20
+#: The exit status of a process whose user's part is to be mended first.
+_BROKEN = 3
 _LOOK_NS = 100 * NS_PER_MS
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
@@ -79,8 +83,13 @@ class Child:
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
-    #: Whether its present life has reported anything.
+    #: Whether its present life only takes the power of its device.
+    takes_power: bool = False
+    #: Whether the launcher has killed it.
+    killed: bool = False
+    #: Whether its present life has reported anything, and when it last did.
     told: bool = False
+    told_ns: int = 0
     #: Whether it ran when the end of the session began.
     ran: bool = False
     #: The error that the present life has reported before its end.
@@ -210,9 +219,12 @@ class Launcher:
             dues_ns = [show_ns, end_ns, feed_ns, self.switch.poll_timeout()]
             for child in self.children:
                 kill_ns = child.policy.poll_kill()
+                if self._is_lost(child):
+                    child.health.handle_lost()
+                    self._signal(child, signal.SIGKILL)
                 if kill_ns is not None and child.pid is not None:
                     if kill_ns <= now_ns:
-                        os.kill(child.pid, signal.SIGKILL)
+                        self._signal(child, signal.SIGKILL)
                     else:
                         dues_ns.append(kill_ns)
                 due_ns = child.policy.poll_timeout()
@@ -238,8 +250,27 @@ class Launcher:
         child.policy.handle_wanted(order.run, self.clock.now_ns())
         if not order.run:
             child.stopped = True
-            if child.pid is not None:
-                os.kill(child.pid, signal.SIGTERM)
+            self._signal(child, signal.SIGTERM)
+
+    def _is_lost(self, child: Child) -> bool:
+        """Whether it hangs with the power of its device."""
+        if not child.row.powered or child.takes_power or child.killed or child.pid is None:
+            return False
+        health, at_ns = child.health, self.observed.now_ns
+        told_ns = child.told_ns + self.clock.wall_offset_ns - _LOOK_NS
+        unanswered = health.hangs(at_ns) and KeptOrders(self.session).stopped_at_ns > told_ns
+        return health.is_lost(at_ns, unanswered=unanswered)
+
+    def _signal(self, child: Child, number: signal.Signals) -> None:
+        """Send it to a life, if there is one that does not take the power of its device."""
+        if child.pid is not None and not self._takes_power(child):
+            child.killed = number == signal.SIGKILL
+            os.kill(child.pid, number)
+
+    def _takes_power(self, child: Child) -> bool:
+        """Whether it takes the power of a device, and has time left for it."""
+        until_ns = child.policy.poll_kill() or 0
+        return child.takes_power and child.pid is not None and self.clock.now_ns() < until_ns
 
     def _keeps_alive(self, child: Child) -> bool:
         return (
@@ -258,8 +289,7 @@ class Launcher:
             for child in self.children:
                 if child.row.name not in self.pages:
                     child.stopped = True
-                    if child.pid is not None:
-                        os.kill(child.pid, number)
+                    self._signal(child, number)
 
     def _feed_pages(self, now_ns: int) -> None:
         assert self.feed is not None
@@ -313,7 +343,7 @@ class Launcher:
                 self.observed.handle_report(now_ns)
             child.health.handle_report(self.observed.now_ns)
             message = Message.unpack(data)
-            child.told = True
+            child.told, child.told_ns = True, now_ns
             child.told_error = message.last_error or child.told_error
             self.listener.handle_message(child.row.name, message, now_ns)
             for order in message.orders:
@@ -343,7 +373,7 @@ class Launcher:
         ours.setblocking(False)
         child.pid, child.link, child.stopped = pid, ours, False
         child.pidfd = os.pidfd_open(pid)
-        child.told = False
+        child.told = child.killed = False
         child.policy.handle_start(self.clock.now_ns())
         child.health.handle_start(self.observed.now_ns)
         self._selector.register(ours, selectors.EVENT_READ, child)
@@ -359,6 +389,7 @@ class Launcher:
             started_ns=self.started_ns,
             seed=self.seed,
             pages={name: page for name, page in self.pages.items() if name == child.row.name},
+            takes_power=child.takes_power,
         )
         try:
             signal.set_wakeup_fd(-1)
@@ -383,7 +414,7 @@ class Launcher:
             except Exception:
                 # Filling in the counters may have failed itself.
                 context.send_figures(self.clock.now_ns())
-            return 1
+            return _BROKEN if isinstance(error, PartError) else 1
         return 0
 
     def _handle_end(self, child: Child) -> None:
@@ -396,19 +427,36 @@ class Launcher:
         _, status, usage = os.wait4(child.pid, 0)
         child.pid = None
         child.ended_cpu_s += usage.ru_utime + usage.ru_stime
+        signaled, now_ns = os.WIFSIGNALED(status), self.clock.now_ns()
+        error = child.told_error or session_switch.NO_REASON
+        if signaled:
+            error = f"ended by {_signal_name(os.WTERMSIG(status))}"
         # An end that was asked for is no error.
-        if not self._ending and not child.stopped:
-            if os.WIFSIGNALED(status):
-                child.last_error = f"ended by {_signal_name(os.WTERMSIG(status))}"
-            else:
-                child.last_error = child.told_error or session_switch.NO_REASON
-            child.health.handle_end(child.last_error, self.observed.now_ns)
+        asked = self._ending or child.stopped
+        if not asked:
+            child.last_error = error
+            child.health.handle_end(error, self.observed.now_ns)
         child.told_error = ""
         self.listener.handle_exit(child.row.name, child.last_error)
         if child.stopped:
-            child.policy.handle_stop(self.clock.now_ns())
+            child.policy.handle_stop(now_ns)
         else:
-            child.policy.handle_end(self.clock.now_ns())
+            broken = child.row.powered if signaled else os.WEXITSTATUS(status) == _BROKEN
+            child.policy.handle_end(now_ns, broken=broken)
+        if child.takes_power:
+            child.takes_power = False
+            child.health.handle_power_off(error if status else "")
+        elif child.policy.hopeless or (child.row.powered and status and (asked or child.killed)):
+            self._give_up(child, error)
+
+    def _give_up(self, child: Child, error: str) -> None:
+        """Give a process no further life but one that takes the power of its device."""
+        child.health.handle_given_up(error, powered=child.row.powered)
+        child.takes_power = child.row.powered
+        if child.takes_power:
+            self._start(child)
+        child.stopped = True
+        child.policy.handle_wanted(False, self.clock.now_ns(), session_switch.POWER_OFF_NS)
 
     def _close_link(self, child: Child) -> None:
         if child.link is not None:
@@ -439,12 +487,13 @@ class Launcher:
         """End these by SIGTERM, and those that remain by SIGKILL."""
         for number in (signal.SIGTERM, signal.SIGKILL):
             for child in children:
-                if child.pid is not None:
-                    os.kill(child.pid, number)
-                    if number == signal.SIGKILL:
-                        child.health.handle_deaf()
+                if number == signal.SIGKILL and child.pid is not None and not child.takes_power:
+                    child.health.handle_deaf()
+                self._signal(child, number)
             left_ns = session_switch.PATIENCE_NS
-            while left_ns > 0 and any(child.pid is not None for child in children):
+            while any(self._takes_power(child) for child in children) or (
+                left_ns > 0 and any(child.pid is not None for child in children)
+            ):
                 began_ns = self.clock.now_ns()
                 self._attend(_LOOK_NS)
                 # A machine that stalls leaves them as much time as before.
@@ -452,6 +501,8 @@ class Launcher:
 
 
 def _one_line(error: BaseException) -> str:
+    if isinstance(error, PartError):
+        return str(error)
     where = traceback.extract_tb(error.__traceback__)[-1]
     kind = type(error).__name__
     return f"{kind}: {error} ({Path(where.filename).name}:{where.lineno})"

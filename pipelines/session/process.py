@@ -44,6 +44,7 @@ class Context:
     started_ns: when the session began, the same for all lives of a process.
     seed: of the radio's random events.
     pages: by process, where its browser pages are served.
+    takes_power: only take the power of the device: the life before could not.
     """
 
     session: str
@@ -56,6 +57,7 @@ class Context:
     seed: int = 0
     stopping: bool = False
     pages: Mapping[str, PageListener] = field(default_factory=dict)
+    takes_power: bool = False
     _fill: list[Callable[[], None]] = field(default_factory=list)
 
     @property

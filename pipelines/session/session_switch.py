@@ -12,6 +12,8 @@ from pipelines.session.topology import Stage
 
 #: The time that processes have to end by themselves.
 PATIENCE_NS = 3 * NS_PER_S
+#: The time to take the power of a device.
+POWER_OFF_NS = 45 * NS_PER_S
 
 
 class Order(Enum):
@@ -132,6 +134,8 @@ FIRST_PAUSE_NS = 50 * NS_PER_MS
 LONGEST_PAUSE_NS = NS_PER_S
 #: After a life this long, the pauses begin anew.
 GOOD_LIFE_NS = 5 * NS_PER_S
+#: After so many lives that ended early with what no further life mends, there is none.
+MOST_BROKEN = 3
 #: A restarted sender does not know what its predecessor sent. So that the cap holds over any
 #: second, no second may contain both. The 10 ms are the guard of `Budget`.
 SENDER_REST_NS = NS_PER_S + 10 * NS_PER_MS
@@ -164,19 +168,28 @@ class RestartPolicy:
         self._pause_ns = FIRST_PAUSE_NS
         self._started_ns: int | None = None
         self._due_ns: int | None = None
+        self._broken = 0
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether so many lives in a row soon ended with what no further life mends."""
+        return self._broken >= MOST_BROKEN
 
     def handle_start(self, now_ns: int) -> None:
         self._started_ns, self._due_ns, self._kill_ns = now_ns, None, None
 
-    def handle_wanted(self, wanted: bool, now_ns: int) -> None:
+    def handle_wanted(self, wanted: bool, now_ns: int, patience_ns: int = PATIENCE_NS) -> None:
         """From now on it is to run, or not. One that is to end has been asked to."""
         self.wanted = wanted
         if not wanted:
-            self._kill_ns = now_ns + PATIENCE_NS
+            self._kill_ns = now_ns + patience_ns
 
-    def handle_end(self, now_ns: int) -> None:
+    def handle_end(self, now_ns: int, *, broken: bool = False) -> None:
+        """The present life has ended. broken: with what no further life mends."""
         assert self._started_ns is not None
-        if now_ns - self._started_ns >= GOOD_LIFE_NS:
+        early = now_ns - self._started_ns < GOOD_LIFE_NS
+        self._broken = self._broken + 1 if broken and early else 0
+        if not early:
             self._pause_ns = FIRST_PAUSE_NS
         self._due_ns = now_ns + max(self._pause_ns, self._rest_ns)
         self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)

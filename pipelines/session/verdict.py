@@ -17,13 +17,16 @@ _HANGS_NS = NS_PER_S + FLUSH_NS + 100 * NS_PER_MS
 _IDLE_HANGS_NS = 15 * NS_PER_S
 #: One that opens a device may take this long to come up, and so may one that was started again.
 _COMES_UP_NS = 15 * NS_PER_S
+#: One whose device takes longer to be opened is killed.
+_OPENS_NS = 30 * NS_PER_S
 #: One that hung for this long has failed, even if it goes on.
 _FAILS_NS = 5 * NS_PER_S
 #: The restarts that a process may need.
 _MOST_RESTARTS = 2
-_MEND = "`kontur-av robot check`, `joystick check` and `doctor` say more"
-_DEAF = f"it did not end when it was asked to, and was killed; {_MEND}"
-_HANGS = f"it hangs: it ended no cycle for more than 1 s; {_MEND}"
+_TAKING, _TAKEN = "; its power is being taken", "; its power was taken by a process of its own"
+_SAYS = "; `kontur-av robot check`, `joystick check` and `doctor` say more"
+_DEAF = f"it did not end when it was asked to, and was killed{_SAYS}"
+_HANGS = f"it hangs: it ended no cycle for more than 1 s{_SAYS}"
 
 
 class ObservedTime:
@@ -74,12 +77,36 @@ class ProcessHealth:
         """A life has ended, though nobody asked it to; error: why."""
         self.handle_start(at_ns)
         if error == NO_REASON:
-            self._failed = f"it ended without a reason; {_MEND}"
+            self._failed = f"it ended without a reason{_SAYS}"
 
     def handle_deaf(self) -> None:
         """It had to be killed when the session ended."""
         if not self._idle:
-            self._failed = _DEAF
+            self._failed = self._failed or _DEAF
+
+    def hangs(self, at_ns: int) -> bool:
+        return self._told and at_ns - self._since_ns >= self._hangs_ns
+
+    def is_lost(self, at_ns: int, *, unanswered: bool) -> bool:
+        """Whether to kill it, so that another takes its power. unanswered: a stop was ordered since
+        its last report.
+        """
+        patience_ns = self._fails_ns if self._told else _OPENS_NS
+        return (unanswered and self.hangs(at_ns)) or at_ns - self._since_ns >= patience_ns
+
+    def handle_lost(self) -> None:
+        """It is killed because it hangs."""
+        self._failed = "it hung, and was killed"
+
+    def handle_given_up(self, error: str, *, powered: bool) -> None:
+        """It gets no further life; powered: but one that takes its power."""
+        given_up = f"it ended, and is not started again: {error}"
+        self._failed = (self._failed or given_up).removesuffix(_SAYS) + _TAKING * powered + _SAYS
+
+    def handle_power_off(self, error: str) -> None:
+        """The life that took its power has ended. error: why it may not have done so."""
+        done = f"; its power could not be taken: {error}: take it there" if error else _TAKEN
+        self._failed = self._failed.replace(_TAKING, done)
 
     def trouble(self, at_ns: int, *, restarts: int, error: str, wanted: bool) -> str:
         """Return what is wrong with it, in words; "" if nothing.
@@ -89,11 +116,13 @@ class ProcessHealth:
         """
         if self._failed or not wanted:
             return self._failed
-        if at_ns - self._since_ns >= (self._hangs_ns if self._told else _COMES_UP_NS):
+        if self.hangs(at_ns):
+            return _HANGS
+        if not self._told and at_ns - self._since_ns >= _COMES_UP_NS:
             late = f"it has not come up in {_COMES_UP_NS // NS_PER_S} s"
-            return _HANGS if self._told else f"{late}{error and f': {error}'}; {_MEND}"
+            return f"{late}{error and f': {error}'}{_SAYS}"
         if restarts > _MOST_RESTARTS:
-            return f"it was started again more than {_MOST_RESTARTS} times: {error}; {_MEND}"
+            return f"it was started again more than {_MOST_RESTARTS} times: {error}{_SAYS}"
         return ""
 
 

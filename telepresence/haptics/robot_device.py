@@ -9,7 +9,7 @@ from math import hypot, isfinite
 from typing import NamedTuple, Protocol, cast
 
 from kontur_av.errors import ConfigError
-from kontur_av.returned import fault_of, taken
+from kontur_av.returned import PartError, fault_of, taken
 from telepresence.haptics.axes import AxisReading, MoreAxes, MoreAxis, SimulatedAxis
 from telepresence.haptics.robot import JointReading, Robot, RobotFacts
 from telepresence.haptics.sample import MODE_OFF
@@ -47,7 +47,8 @@ class RobotDevice(Protocol):
     """A robot's driver. No method but `configure` and `power_on` may block.
 
     Lifecycle: `configure`, `power_on`; then `activate` and `deactivate` as often as the session
-    switches it on and off; `power_off` at the end, whatever happens. In each cycle of 1 ms:
+    switches it on and off; `power_off` at the end, whatever happens. An `emergency_off`, if it has
+    one, takes its power after its process hung, without `configure`. In each cycle of 1 ms:
     `write_force` or `write_position` while it is active, then `advance`, then `read`. One whose
     facts name more axes is a `MoreAxes`, too.
     """
@@ -104,7 +105,7 @@ class DrivenRobot(Robot):
 
     device: its driver.
     error: why it cannot go on; the session then switches it off.
-    Raises ConfigError, without power, if it does not come up.
+    Raises ConfigError, without power, if it does not come up: PartError once it had power.
     """
 
     def __init__(self, device: RobotDevice) -> None:
@@ -138,7 +139,8 @@ class DrivenRobot(Robot):
             words = fault_of(call, error)
             self._follow(active=False)
             self._take_power()
-            raise ConfigError(words + (f"; {self._stuck}" if self._stuck else "")) from error
+            kind = ConfigError if call == "configure()" else PartError
+            raise kind(words + (f"; {self._stuck}" if self._stuck else "")) from error
         self._press = self._surroundings.press
         self._limit = min(facts.force_limit_n, self.model.force_limit_n)
         self._take(first)

@@ -67,7 +67,7 @@ def check_joystick(spec: str, axes: Sequence[AxisName] = ()) -> None:
 
 
 def is_simulated(spec: str) -> bool:
-    """Whether `spec` names a simulated joystick, which runs on virtual time."""
+    """Whether `spec` names a simulated joystick or robot, which runs on virtual time."""
     return spec.partition(":")[0] == SIMULATED
 
 
@@ -83,7 +83,7 @@ def open_device(
         try:
             device = UserJoystick(device)
         except PartError as error:
-            raise ConfigError(f"joystick {spec}: {error}") from None
+            raise PartError(f"joystick {spec}: {error}") from None
     if axes is not None:
         check_axes(f"joystick {spec}", device.facts.more, axes)
     return device
@@ -130,7 +130,7 @@ def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
     try:
         robot = made if isinstance(made, Robot) else DrivenRobot(made)
     except ConfigError as error:
-        raise ConfigError(f"robot {spec}: {error}") from error
+        raise type(error)(f"robot {spec}: {error}") from error
     try:
         check_axes(f"robot {spec}", [axis.facts for axis in robot.more], axes)
     except ConfigError:

@@ -9,8 +9,9 @@ import pytest
 
 #: Runs a launcher with the processes `good` and `bad`, and prints what it has counted.
 PROGRAM = """
-import json, os, signal, socket, sys
+import json, os, signal, socket, sys, time
 from kontur_av.clock import MonotonicClock
+from kontur_av.returned import PartError
 from pipelines.session.launcher import Launcher
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.session_switch import Order
@@ -35,6 +36,18 @@ def falls_without_figures(context):
 
 def real_time_signal(context):
     os.kill(os.getpid(), 40)
+
+def hangs(context):
+    if not context.takes_power:
+        context.flush(context.clock.now_ns())
+        time.sleep(300)
+
+def hangs_with_power_for_ever(context):
+    hangs(context)
+    raise PartError("power_off() failed")
+
+def cannot_be_used(context):
+    raise PartError("read() failed")
 
 def deaf_to_a_closed_terminal(context):
     os.kill(os.getpid(), signal.SIGHUP)
@@ -72,10 +85,12 @@ class Listener(Collector):
         super().handle_exit(process, error)
         if process == "bad" and bad in FALLS:
             self.ends += 1
-            if self.ends == 2:
+            if self.ends == FALLS[bad]:
                 os.kill(os.getpid(), signal.SIGTERM)
 
-FALLS, tries = ("no_figures", "falls_without_figures", "real_time_signal"), []
+FALLS = {"no_figures": 2, "falls_without_figures": 2, "real_time_signal": 2, "hangs": 2,
+    "cannot_be_used": 4}
+tries = []
 
 def show(launcher):
     tries.append(1)
@@ -92,7 +107,10 @@ listener = PageListener(
 
 def row(name, stage, run):
     run = "__main__:" + run
-    return ProcessRow(name=name, segment=Segment.GROUND, stage=stage, run=run, what="")
+    powered = name == "bad"
+    return ProcessRow(
+        name=name, segment=Segment.GROUND, stage=stage, run=run, what="", powered=powered
+    )
 
 launcher = Launcher(
     session=f"test-{os.getpid()}",
@@ -106,6 +124,8 @@ launcher = Launcher(
 )
 launcher.run(seconds or None)
 print(json.dumps({
+    "failed": {child.row.name: child.health.trouble(0, restarts=0, error="", wanted=False)
+        for child in launcher.children},
     "ends": {child.row.name: [child.restarts, child.last_error] for child in launcher.children},
     "tries": len(tries), "stops": len(launcher.stopped_s), "asked": feed.asked, "sent": feed.sent,
 }))
@@ -145,6 +165,23 @@ def test_a_failing_process_affects_no_other(bad, says):
     assert ends["good"] == [0, ""]
     restarts, last_error = ends["bad"]
     assert restarts >= 1 and last_error.startswith(says)
+
+
+@pytest.mark.parametrize(
+    ("bad", "seconds", "says"),
+    [
+        ("hangs", 0.5, "killed; its power was taken by a process of its own"),
+        # No report of others but one: the time that is observed passes more slowly.
+        ("hangs", 0, "it hung, and was killed; its power was taken by a process of its own"),
+        ("hangs_with_power_for_ever", 0.5, "could not be taken: power_off() failed: take it there"),
+        ("cannot_be_used", 0, "it ended, and is not started again: read() failed; its power"),
+    ],
+)
+def test_a_device_loses_its_power_in_a_life_of_its_own_if_its_process_cannot(bad, seconds, says):
+    found = run(bad, seconds)
+    assert found["failed"]["good"] == "" and found["ends"]["good"] == [0, ""]
+    assert says in found["failed"]["bad"]
+    assert found["ends"]["bad"][0] == (2 if bad == "cannot_be_used" else 0)
 
 
 def test_a_closed_terminal_ends_the_session_by_its_launcher_alone_and_nothing_under_nohup():

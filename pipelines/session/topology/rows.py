@@ -67,6 +67,7 @@ class ProcessRow:
     ports: UDP ports on which it listens beside those of its streams and links.
     stoppable: whether a telecommand may stop it. Not what commands, carries telecommands, or keeps
         the arm and the handle safe: an emergency stop must find its process.
+    powered: it gives a device power, and takes it even if its life before could not.
     what: its task in a few words.
     """
 
@@ -82,6 +83,7 @@ class ProcessRow:
     reads: tuple[Topic, ...] = ()
     writes: tuple[Topic, ...] = ()
     ports: tuple[int, ...] = ()
+    powered: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

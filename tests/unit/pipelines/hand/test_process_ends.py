@@ -1,7 +1,13 @@
-"""The joystick's process: what it makes of the inputs of a page."""
+"""The processes of robot and joystick: a robot without power, and the inputs of a page."""
 
+from contextlib import nullcontext
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
+import pytest
+
+from kontur_av.returned import PartError
+from pipelines.hand import process_ends
 from pipelines.hand.hand_topics import pack_input
 from pipelines.hand.process_ends import _hand
 from telepresence.haptics.device.page import PageDevice, PageInput
@@ -23,3 +29,41 @@ def test_inputs_of_a_page_that_move_nothing_are_told():
     flushes[0]()
     # One out of range, and one that came again.
     assert told == [HandInputFigures(inputs_ignored=2)]
+
+
+class Powered:
+    """A robot that was built anew; it notes its calls, and fails at these."""
+
+    def __init__(self, fails=(), *, emergency=False):
+        self.calls, self.fails = [], fails
+        if emergency:
+            self.emergency_off = lambda: self.calls.append("emergency_off")
+
+    def __getattr__(self, name):
+        def call():
+            self.calls.append(name)
+            if name in self.fails:
+                raise RuntimeError("E1")
+
+        if name not in ("configure", "deactivate", "power_off"):
+            raise AttributeError(name)
+        return call
+
+
+@pytest.mark.parametrize(
+    ("robot", "calls", "said"),
+    [
+        (Powered(["deactivate"]), ["configure", "deactivate", "power_off"], ""),
+        (Powered(["configure"]), ["configure", "deactivate", "power_off"], "configure() failed"),
+        (Powered(["power_off"]), ["configure", "deactivate", "power_off"], "power_off() failed"),
+        (Powered(emergency=True), ["emergency_off"], ""),
+    ],
+)
+def test_the_power_of_a_robot_is_taken_by_a_driver_that_is_built_anew(
+    robot, calls, said, monkeypatch
+):
+    monkeypatch.setattr(process_ends, "load_robot", lambda spec, axes: robot)
+    context = MagicMock(takes_power=True)
+    with pytest.raises(PartError) if said else nullcontext() as refused:
+        process_ends.run_robot(context)
+    assert robot.calls == calls and said in str(refused and refused.value)

@@ -144,3 +144,14 @@ def test_a_stopped_process_stays_stopped_until_it_is_started():
         policy.handle_start(7)
         policy.handle_stop(8)
         assert policy.poll_timeout() == 8 + rest_ns
+
+
+@pytest.mark.parametrize(
+    ("lives_s", "hopeless"), [([1] * 2, False), ([1] * 3, True), ([1, 1, 6, 1], False)]
+)
+def test_three_short_lives_in_a_row_that_nothing_mends_are_the_last(lives_s, hopeless):
+    policy = RestartPolicy(Stage.LINK)
+    for life_s in lives_s:
+        policy.handle_start(0)
+        policy.handle_end(life_s * NS_PER_S, broken=True)
+    assert policy.hopeless is hopeless

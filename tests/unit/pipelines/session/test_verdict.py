@@ -116,3 +116,14 @@ def test_one_that_was_killed_twice_is_late_or_is_not_to_run_has_not_failed():
     words = health.trouble(99 * NS_PER_S, **facts, wanted=False)
     now = ProcessNow(name="files", restarts=0, running=True, error="", trouble=words)
     assert process_failures([now]) == [f"files: {words}"] and "it hangs" in words
+
+
+def test_a_process_with_a_device_is_lost_after_5_s_and_at_once_if_a_stop_is_unanswered():
+    health = ProcessHealth()
+    health.handle_start(0)
+    # It may open its device.
+    assert not health.is_lost(29 * NS_PER_S, unanswered=True)
+    assert health.is_lost(30 * NS_PER_S, unanswered=False)
+    health.handle_report(0)
+    lost = [health.is_lost(s * NS_PER_S, unanswered=one) for s in (1, 2, 5) for one in (0, 1)]
+    assert lost == [False, False, False, True, True, True]
