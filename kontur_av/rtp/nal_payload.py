@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.media import VideoCodec
+from kontur_av.modular import signed
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 
 if TYPE_CHECKING:
@@ -313,9 +314,12 @@ class NalDepacketizer:
         self._begin(0, 0, 0)
         #: Payloads that were malformed, and access units of more than `max_unit_octets`.
         self.garbage = 0
-        #: Access units returned, and those of them that were damaged.
+        #: Access units returned, and those that were damaged or lost whole.
         self.units = 0
         self.units_damaged = 0
+        #: The timestamp of the newest unit, and the least step from one to the next; 0: not known.
+        self._newest: int | None = None
+        self._period = 0
 
     def _begin(self, timestamp: int, lost_before: int, received_ns: int) -> None:
         self._timestamp = timestamp
@@ -337,6 +341,7 @@ class NalDepacketizer:
             self._source = packet.ssrc
             self._joining = True
             self._markers, self._ended_at = self._first_markers, None
+            self._newest = None
             self._ahead.clear()
         lost = packet.lost_before + self._lost_idle
         self._lost_idle = 0
@@ -474,7 +479,7 @@ class NalDepacketizer:
         damaged = self._damaged or not complete or (head_unsure and form.lacks_its_head(units))
         self._joining = False
         self.units += 1
-        self.units_damaged += damaged
+        self.units_damaged += damaged + self._units_lost()
         self._ready.append(
             ReceivedUnit(
                 join_annex_b(self._with_parameters(units, kinds)),
@@ -488,6 +493,17 @@ class NalDepacketizer:
                 not form.leading.isdisjoint(kinds),
             )
         )
+
+    def _units_lost(self) -> int:
+        """How many pictures were lost whole before this one, by packets and timestamps."""
+        before, self._newest = self._newest, self._timestamp
+        step = 0 if before is None else signed(self._timestamp - before)
+        if step <= 0:
+            return 0
+        if not self._lost_before:
+            self._period = min(self._period or step, step)
+        missing = (step + self._period // 2) // self._period - 1 if self._period else 1
+        return min(self._lost_before, missing)
 
     def _with_parameters(self, units: list[bytes], kinds: list[int]) -> list[bytes]:
         if self._form.sps in kinds:

@@ -454,11 +454,13 @@ class StreamReceiver(_AsyncClosing):
         """Receive until the end, and return why it came."""
         packets, heard_ns = 0, None
         while not self.ended:
+            # Silence counts up to the last look: a stall of this process is none of the sender's.
+            now_ns = self._clock.now_ns()
             self._udp.exchange(receiver, self._clock, _STEP_NS)
             drain()
-            now_ns, counts = self._clock.now_ns(), receiver.counts.rtp
+            counts = receiver.counts.rtp
             if counts.rtp_packets != packets:
-                packets, heard_ns = counts.rtp_packets, now_ns
+                packets, heard_ns = counts.rtp_packets, self._clock.now_ns()
             if heard_ns is None:
                 continue
             if receiver.ended and now_ns - heard_ns > _AFTER_GOODBYE_NS:

@@ -31,7 +31,7 @@ class VideoReceiverCounts:
     jitter_ns: Newest[int] = 0
     #: Access units received.
     frames_received: int = 0
-    #: Access units with gaps.
+    #: Access units with gaps, or lost whole.
     frames_damaged: int = 0
     #: Damaged pictures after a pause, not shown before a whole one.
     frames_withheld: int = 0

@@ -5,7 +5,7 @@
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +18,13 @@ from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, CaptureStamp, Pc
 from kontur_av.rtp.feedback import ReceptionReporter
 from kontur_av.rtp.payload_opus import SlowClock
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
-from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
+from kontur_av.rtp.receiver import ReceiverCounts, RtpReceived, RtpReceiver
 from kontur_av.rtp.reports import AVPF_LEAST_NS
 from kontur_av.streams.lipsync import LipSync
 from kontur_av.streams.reporting_receiver import ReportingReceiver
 
 #: The most arrivals kept for a caller that takes none; the oldest is dropped.
 _ARRIVALS_KEPT = 256
-
-
-class VoicePacketArrival(NamedTuple):
-    """A packet of a voice has come. timestamp: its 32-bit RTP timestamp."""
-
-    timestamp: int
-    received_ns: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +111,7 @@ class VoiceReceiver(ReportingReceiver):
         self._lip_sync = LipSync(
             oldest_picture_ns=oldest_picture_ns, oldest_sound_ns=oldest_sound_ns
         )
-        self._arrivals: deque[VoicePacketArrival] = deque(maxlen=_ARRIVALS_KEPT)
+        self._arrivals: deque[RtpReceived] = deque(maxlen=_ARRIVALS_KEPT)
         self._heard = self._corrupt = self._undated = self._inserted_ns = 0
 
     def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
@@ -155,8 +148,8 @@ class VoiceReceiver(ReportingReceiver):
         """Return the next block that is due, with an Opus packet or to be concealed, or None."""
         return self._playout.next_event()
 
-    def take_arrivals(self) -> list[VoicePacketArrival]:
-        """Return the packets that have come since the last call, for figures."""
+    def take_arrivals(self) -> list[RtpReceived]:
+        """Return the packets that have come since the last call, also those not played."""
         arrivals = list(self._arrivals)
         self._arrivals.clear()
         return arrivals
@@ -210,7 +203,7 @@ class VoiceReceiver(ReportingReceiver):
                 packet = packet._replace(
                     timestamp=packet.timestamp * scale & 0xFFFF_FFFF, restart=True
                 )
-            self._arrivals.append(VoicePacketArrival(packet.timestamp, packet.received_ns))
+            self._arrivals.append(packet)
             self._playout.handle_packet(packet)
             self._hold(packet.timestamp, now_ns)
 

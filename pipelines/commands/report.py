@@ -14,6 +14,7 @@ from pipelines.report.summary import print_summary
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
 from pipelines.session.setup.setup_file import setup_from_text
+from pipelines.session.setup.table import NO_RADIO, Setup
 from pipelines.table import topology_of
 
 #: A day's report has 600 MB.
@@ -65,9 +66,17 @@ def _joined(ground: Path, space: Path) -> SessionReport:
         return join_reports(
             read_report(ground),
             read_report(space),
-            read_setup=setup_from_text,
+            read_setup=_setup_of,
             table_of=topology_of,
         )
+
+
+def _setup_of(text: str) -> Setup:
+    try:
+        return setup_from_text(text)
+    except ConfigError:
+        # A radio profile of one's own is there by name only; what both ends measured needs none.
+        return setup_from_text(text, changes={"radio": NO_RADIO})
 
 
 def read_report(path: Path) -> SessionReport:

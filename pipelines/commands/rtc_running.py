@@ -2,7 +2,7 @@
 
 import argparse
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 
 from kontur_av.clock import Clock, MonotonicClock
 from kontur_av.codecs.coding import SLOW_REFRESH_S
@@ -10,9 +10,10 @@ from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
-from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, parse_size
+from kontur_av.media import VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, parse_size
 from kontur_av.meters import Histogram
 from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.commands.rtc_options import ice_servers_of, token_of
 from pipelines.media.rtp_reports import latency_ms
@@ -32,7 +33,7 @@ from pipelines.partner.peer import ReceivedKind, RtcConnection, RtcPeer, connect
 from pipelines.partner.whip import Keeper
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
-from pipelines.recording.received_media import TimeLine
+from pipelines.recording.received_media import SoundLine, TimeLine
 from pipelines.session.command_process import say, stopped_by_signals
 from pipelines.session.option_rows import add_options
 
@@ -178,7 +179,7 @@ class PartnerOutput:
         self._voice_file = self._open(args.save_voice)
         self._raw = None if args.raw is None else RawPictures(args.raw)
         # A partner may come again, with other timestamps.
-        self._picture_time, self._voice_time = TimeLine(VIDEO_CLOCK_HZ), TimeLine(AUDIO_CLOCK_HZ)
+        self._picture_time, self._voice_time = TimeLine(VIDEO_CLOCK_HZ), SoundLine()
         self._picture_ns, self._voice_ns = Histogram(), Histogram()
         self._pictures = self._blocks = 0
         #: Width and height of the newest picture; None before the first.
@@ -205,6 +206,7 @@ class PartnerOutput:
         """Write the rest, close, and say which files could not be written."""
         for picture in self._decoder.drain():
             self._show(picture)
+        self._save_voice((), None)
         self.close()
         faults = [file.fault for file in self._files]
         if self._raw is not None:
@@ -243,15 +245,18 @@ class PartnerOutput:
 
     def _handle_block(self, event: SoundCame) -> None:
         block = event.block
+        self._save_voice(event.packets, self._clock.now_ns())
         _, decoded = self._player.play(block)
         if not decoded:
             return
         self._blocks += 1
         if event.capture_ns is not None:
             self._voice_ns.add(max(block.play_ns - event.capture_ns, 0))
-        if self._voice_file is not None and block.payload is not None and not block.recovered:
-            ticks = self._voice_time.ticks(block.timestamp, block.play_ns, follows_all=True)
-            self._voice_file.add_opus(block.payload, ticks, block.samples)
+
+    def _save_voice(self, packets: Sequence[RtpReceived], now_ns: int | None) -> None:
+        for packet in self._voice_time.packets(packets, now_ns):
+            if self._voice_file is not None:
+                self._voice_file.add_opus(*packet)
 
 
 def _kind(decoded: int, latency_ns: Histogram) -> ReceivedKind:

@@ -142,7 +142,8 @@ def note_unit(probe: Probe, unit: ReceivedUnit) -> None:
 
 def note_arrivals(probe: Probe, receiver: VoiceReceiver) -> None:
     """Packets of a voice may have come."""
-    probe.series(RxRow).extend(receiver.take_arrivals())
+    arrivals = receiver.take_arrivals()
+    probe.series(RxRow).extend(RxRow(one.timestamp, one.received_ns) for one in arrivals)
 
 
 def to_gateway(

@@ -8,6 +8,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
+from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.rtp.wire import AnyRtcpPacket, RtcpRrPacket, RtcpSrPacket, parse_rtcp
 from pipelines.partner.description import Kind, MediaLine
@@ -33,10 +34,11 @@ class PictureCame:
 
 @dataclass(frozen=True, slots=True)
 class SoundCame:
-    """A block of the partner's voice that is to be played now."""
+    """A block of the partner's voice that is to be played now. packets: those that have come."""
 
     block: PlayoutBlock
     capture_ns: int | None
+    packets: Sequence[RtpReceived] = ()
 
 
 class RtcMedia:
@@ -176,7 +178,8 @@ class RtcMedia:
         if self.picture is not None and (unit := self.picture.receiver.next_event()) is not None:
             return PictureCame(unit, self.picture.receiver.capture_ns(unit.timestamp))
         if self.voice is not None and (block := self.voice.receiver.next_event()) is not None:
-            return SoundCame(block, self.voice.receiver.capture_ns(block.timestamp))
+            receiver = self.voice.receiver
+            return SoundCame(block, receiver.capture_ns(block.timestamp), receiver.take_arrivals())
         return None
 
     def is_silent(self, now_ns: int) -> bool:

@@ -25,6 +25,8 @@ FAR_NS = 60 * NS_PER_S
 _AROUND = 32
 #: A longer pause at the begin or the end is a wrong instant.
 _LONGEST_NS = 30 * 3600 * NS_PER_S
+#: The latest instant that tables hold.
+_LATEST_NS = (1 << 63) - 1
 
 
 class JoinedMessage(NamedTuple):
@@ -60,8 +62,8 @@ class Part:
             yield JoinedMessage(
                 found.channel.topic,
                 found.kind,
-                message.log_time - self.wall_offset_ns,
-                message.publish_time - self.wall_offset_ns,
+                min(message.log_time - self.wall_offset_ns, _LATEST_NS),
+                min(message.publish_time - self.wall_offset_ns, _LATEST_NS),
                 message.sequence,
                 message.data,
                 part,
@@ -160,7 +162,13 @@ def read_part(octets: memoryview) -> Part:
     inventory = take_inventory(octets)
     refuse_foreign(inventory.scan)
     facts = inventory.facts
-    offset_ns = _offset_of_messages(octets) if facts is None else facts.wall_ns - facts.session_ns
+    if facts is not None:
+        offset_ns = facts.wall_ns - facts.session_ns
+    elif (offset_ns := _offset_of_messages(octets)) == 0:
+        # Where nothing tells it, instants that no table holds count from the earliest one.
+        told = [channel for channel in inventory.channels if channel.messages]
+        if max((channel.last_ns for channel in told), default=0) > _LATEST_NS:
+            offset_ns = min(channel.first_ns for channel in told)
     return Part(octets=octets, inventory=inventory, wall_offset_ns=offset_ns)
 
 

@@ -1,15 +1,21 @@
 """Receives a stream in real time: pictures or sound, figures, perhaps a file and a player."""
 
-import contextlib
 import selectors
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from heapq import heappop, heappush
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.decoder import DecodedPicture
+from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram, RateMeter
+from kontur_av.modular import signed
 from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.arrivals import MOST_REORDER_NS
 from kontur_av.rtp.nal_formats import NAL_FORMATS
+from kontur_av.rtp.payload_opus import opus_samples
+from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
@@ -26,19 +32,16 @@ from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
 from pipelines.session.command_process import reader_gone, say, stopped_by_signals
 
-#: What a picture's timestamp may run ahead of its arrival, or behind it, and a sound's of its play.
-_PICTURE_S, _SOUND_S = 10.0, 0.25
+#: What a timestamp may run ahead of its arrival, or behind it: a picture's and a sound's.
+_PICTURE_S, _SOUND_TICKS = 10, AUDIO_CLOCK_HZ // 4
 
 
 class TimeLine:
-    """RTP timestamps as ticks since the first one; they rise on when the sender begins anew.
-
-    rate_hz: of the ticks: that of pictures, or that of sound.
-    """
+    """Pictures' timestamps as ticks since the first; they rise on when the sender begins anew."""
 
     def __init__(self, rate_hz: int) -> None:
         self._rate_hz = rate_hz
-        self._most = round(rate_hz * (_SOUND_S if rate_hz == AUDIO_CLOCK_HZ else _PICTURE_S))
+        self._most = rate_hz * _PICTURE_S
         self._unwrapper = TimestampUnwrapper()
         self._base = self._last = self._largest = 0
         self._last_ns: int | None = None
@@ -59,6 +62,70 @@ class TimeLine:
         self._last, self._last_ns = ticks, now_ns
         self._largest = max(self._largest, ticks)
         return ticks
+
+
+class SoundLine:
+    """The packets of a sound as they came, in their order, on a time line without leaps. A core.
+
+    Which of them were played does not matter. A missing packet has 200 ms to come. After a packet
+    that is late the next ones tell whether the network stalled, or the sender paused.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, RtpReceived]] = []
+        self._next = 0
+        #: The newest packet's timestamp, None for none of this source; its instant and length.
+        self._stamp: int | None = None
+        self._ticks = self._samples = self._due_ns = 0
+
+    def packets(
+        self, came: Iterable[RtpReceived], now_ns: int | None
+    ) -> Iterator[tuple[bytes, int, int]]:
+        """Yield Opus packets, ticks of 48 kHz and samples. now_ns: None at the end of all."""
+        for packet in came:
+            if packet.restart:
+                yield from self._ready(None)
+                self._next, self._stamp = packet.extended_sequence, None
+            heappush(self._waiting, (packet.extended_sequence, packet))
+        yield from self._ready(now_ns)
+
+    def _ready(self, now_ns: int | None) -> Iterator[tuple[bytes, int, int]]:
+        while self._waiting:
+            sequence, packet = self._waiting[0]
+            overdue = now_ns is None or now_ns - packet.received_ns >= MOST_REORDER_NS
+            late = self._late(packet)
+            stalled = late > _SOUND_TICKS and any(
+                abs(self._late(one)) <= _SOUND_TICKS for _, one in self._waiting
+            )
+            if not overdue and (sequence > self._next or (late > _SOUND_TICKS and not stalled)):
+                return
+            heappop(self._waiting)
+            if sequence < self._next:
+                continue
+            self._next = sequence + 1
+            with suppress(ProtocolError):
+                samples = opus_samples(packet.payload)
+                self._step(packet, late, stalled=stalled)
+                self._samples = samples
+                yield packet.payload, self._ticks, samples
+
+    def _passed(self, packet: RtpReceived) -> int:
+        return (packet.received_ns - self._due_ns) * AUDIO_CLOCK_HZ // NS_PER_S
+
+    def _late(self, packet: RtpReceived) -> int:
+        """By how many ticks it came later than its timestamp says."""
+        if self._stamp is None:
+            return 0
+        return self._passed(packet) - signed(packet.timestamp - self._stamp)
+
+    def _step(self, packet: RtpReceived, late: int, *, stalled: bool) -> None:
+        step = self._passed(packet) - late
+        if self._stamp is None or step <= 0 or (abs(late) > _SOUND_TICKS and not stalled):
+            step = max(self._passed(packet), self._samples) if self._samples else 0
+        self._ticks, self._stamp = self._ticks + step, packet.timestamp
+        self._due_ns += step * NS_PER_S // AUDIO_CLOCK_HZ
+        if not stalled:
+            self._due_ns = packet.received_ns
 
 
 class PictureOutput:
@@ -145,28 +212,30 @@ class SoundOutput:
         self.decoded_ns = Histogram()
         self.received_ns = Histogram()
         self.decoded = 0
-        self._time_line = TimeLine(AUDIO_CLOCK_HZ)
+        self._clock, self._line = clock, SoundLine()
         self._writers = writers
 
     def drain(self) -> None:
         receiver = self.receiver
-        for timestamp, received_ns in receiver.take_arrivals():
-            capture_ns = receiver.capture_ns(timestamp)
+        arrivals = receiver.take_arrivals()
+        for packet in arrivals:
+            capture_ns = receiver.capture_ns(packet.timestamp)
             if capture_ns is not None:
-                self.received_ns.add(received_ns - capture_ns)
+                self.received_ns.add(packet.received_ns - capture_ns)
+        self._write(arrivals, self._clock.now_ns())
         for block, _, decoded, stamp in self._decoding.blocks():
-            if not decoded:
-                continue
-            self.decoded += 1
-            if stamp is not None:
+            self.decoded += decoded
+            if decoded and stamp is not None:
                 self.decoded_ns.add(block.play_ns - stamp.capture_ns)
-            if block.payload is not None and not block.recovered:
-                ticks = self._time_line.ticks(block.timestamp, block.play_ns, follows_all=True)
-                for writer in self._writers:
-                    writer.add_opus(block.payload, ticks, block.samples)
 
     def finish(self) -> None:
-        """All that was decoded was played."""
+        """Write the packets that wait for a missing one."""
+        self._write((), None)
+
+    def _write(self, came: Iterable[RtpReceived], now_ns: int | None) -> None:
+        for payload, ticks, samples in self._line.packets(came, now_ns):
+            for writer in self._writers:
+                writer.add_opus(payload, ticks, samples)
 
     def missing(self) -> str:
         """Nothing: each packet of sound can be decoded alone."""
@@ -207,14 +276,15 @@ class ReceiveShell:
         """Receive until the end; the report, without the outputs."""
         start_ns = self._clock.now_ns()
         end_ns = None if seconds is None else start_ns + round(seconds * NS_PER_S)
-        next_line_ns = start_ns + NS_PER_S
+        next_line_ns, looked_ns = start_ns + NS_PER_S, start_ns
         say(f"waiting for {self._stream.kind} on UDP port {self._stream.port}")
         with stopped_by_signals() as stopped, selectors.DefaultSelector() as selector:
             for one in self._udp.sockets:
                 selector.register(one, selectors.EVENT_READ)
             while not (stopped() or reader_gone()):
                 now_ns = self._clock.now_ns()
-                if self._has_ended(now_ns) if end_ns is None else now_ns >= end_ns:
+                # What came during a stall of this process has not been read yet.
+                if self._has_ended(looked_ns) if end_ns is None else now_ns >= end_ns:
                     break
                 if now_ns >= next_line_ns:
                     next_line_ns += NS_PER_S
@@ -225,6 +295,7 @@ class ReceiveShell:
                 if self._raw is not None:
                     self._watch(selector, self._raw.pending())
                 selector.select(wait_ns / NS_PER_S)
+                looked_ns = self._clock.now_ns()
                 self._udp.exchange(self._receiver, self._clock)
                 self._note(self._clock.now_ns())
                 self._output.drain()
@@ -237,7 +308,7 @@ class ReceiveShell:
         """Wake when the reader of raw pictures can take the rest of a picture."""
         if self._watched is not None:
             # The descriptor may have been closed, or another one of its number opened.
-            with contextlib.suppress(KeyError, ValueError):
+            with suppress(KeyError, ValueError):
                 selector.unregister(self._watched)
         if wanted is not None:
             selector.register(wanted, selectors.EVENT_WRITE)

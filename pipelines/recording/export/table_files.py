@@ -229,7 +229,8 @@ def _value(value: Column | str | float) -> Any:
         cells = np.empty((len(value), 1), object)
         cells[:, 0] = value
         return cells
-    return np.int64(value) if isinstance(value, int) else value
+    # Wall times of a foreign clock may take all 64 bits.
+    return np.array(value) if isinstance(value, int) else value
 
 
 #: HDF5 begins behind it.
@@ -279,9 +280,7 @@ class _Texts:
 def _write(group: Any, name: str, value: Column | str | float, texts: _Texts) -> None:
     if isinstance(value, str):
         _write_text(group, name, value)
-    elif isinstance(value, int):
-        _write_numbers(group, name, np.array([value], np.int64))
-    elif isinstance(value, float):
+    elif isinstance(value, int | float):
         _write_numbers(group, name, np.array([value]))
     elif isinstance(value, list):
         _write_cells(group, name, value, texts)

@@ -82,7 +82,7 @@ def test_each_picture_is_counted_once():
     depacketizer = NalDepacketizer(H264)
     packets = [
         received(SLICE, 0, timestamp=0),
-        # The second part is lost, so nothing of this picture is left.
+        # The second part is lost, so nothing of this picture comes out.
         received(PARTS[0], 1, timestamp=1, marker=False),
         received(SLICE, 3, timestamp=2, lost_before=1),
         received(b"\x7f", 4, timestamp=3),
@@ -96,7 +96,29 @@ def test_each_picture_is_counted_once():
     ]
     assert [(unit.first_received_ns, unit.received_ns) for unit in units][-1] == (100, 107)
     counts = depacketizer.units, depacketizer.units_damaged, depacketizer.garbage
-    assert counts == (3, 1, 1)
+    assert counts == (3, 2, 1)
+
+
+@pytest.mark.parametrize(
+    ("lost", "counted"),
+    [([4], 1), ([4, 5, 6], 3), ([4, 8], 2), ([1], 1), ([0, 9], 0), (range(2, 8), 6)],
+)
+@pytest.mark.parametrize("first", [0, 2**32 - 12_000])
+def test_pictures_that_are_lost_whole_count_as_damaged(lost, counted, first):
+    depacketizer = NalDepacketizer(H264, marked=True)
+    came = [number for number in range(10) if number not in lost]
+    for before, number in zip([came[0] - 1, *came], came, strict=False):
+        stamp = (first + 3000 * number) % 2**32
+        depacketizer.handle_packet(
+            received(SLICE, number, timestamp=stamp, lost_before=number - before - 1)
+        )
+    # A lost SEI before a picture, and a pause of the sender, are no pictures.
+    for number, lost_before in ((10, 1), (40, 0)):
+        stamp = (first + 3000 * number) % 2**32
+        depacketizer.handle_packet(
+            received(SLICE, number, timestamp=stamp, lost_before=lost_before if 9 in came else 0)
+        )
+    assert (depacketizer.units, depacketizer.units_damaged) == (len(came) + 2, counted)
 
 
 def test_a_picture_joined_in_its_middle_is_damaged():

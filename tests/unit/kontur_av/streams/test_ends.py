@@ -1,6 +1,7 @@
 """Whole ends of a stream: bad input is refused, and errors reach the caller."""
 
 import socket
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,3 +88,35 @@ def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
         other.bind(("127.0.0.1", port))
         with pytest.raises(av.ConfigError, match="cannot be opened"):
             av.StreamReceiver(sdp)
+
+
+class Stalling:
+    """A clock, sockets and a receiver. A packet comes each 100 ms, for 3 s; the process stalls."""
+
+    def __init__(self, stalls):
+        self.now_s, self.stalls, self.ended, self.read = 0.0, iter(stalls), False, 0
+
+    def now_ns(self):
+        return round(self.now_s * 1e9)
+
+    def exchange(self, receiver, clock, timeout_ns):
+        self.now_s += timeout_ns / 1e9
+        self.read = int(min(self.now_s, 3) * 10)
+
+    def drain(self):
+        self.now_s += next(self.stalls, 0)
+
+    @property
+    def counts(self):
+        return SimpleNamespace(rtp=SimpleNamespace(rtp_packets=self.read))
+
+
+@pytest.mark.parametrize(
+    ("stalls", "ended_s"),
+    [([], 8), ([0] * 5 + [1], 8), ([0] * 5 + [20], 25.3), ([6, 6], 17.1), ([0] * 4 + [20], 25.2)],
+)
+def test_a_stall_of_the_receiver_is_no_silence_of_the_sender(stalls, ended_s):
+    here, reader = Stalling(stalls), object.__new__(ends.StreamReceiver)
+    reader.ended, reader._udp, reader._clock = "", here, here
+    assert reader._follow(here, here.drain) == "silent for 5 s"
+    assert here.now_s == pytest.approx(ended_s, abs=0.3)

@@ -131,7 +131,7 @@ def test_padding_is_no_sound_and_arrivals_that_nobody_takes_are_256():
     feed(receiver, range(300, 600))
     arrivals = receiver.take_arrivals()
     assert len(arrivals) == 256
-    assert arrivals[-1] == (599 * 960, 599 * BLOCK_NS)
+    assert (arrivals[-1].timestamp, arrivals[-1].received_ns) == (599 * 960, 599 * BLOCK_NS)
     # Nobody has said yet where reports go.
     assert receiver.poll_feedback(10**12) is None
 

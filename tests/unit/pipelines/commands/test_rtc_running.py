@@ -13,6 +13,7 @@ from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
+from kontur_av.rtp.receiver import RtpReceived
 from pipelines.commands.rtc_running import PartnerOutput, add_output_arguments
 from pipelines.partner.media import PictureCame, SoundCame
 
@@ -39,8 +40,10 @@ def test_a_partner_that_comes_again_goes_on_in_the_same_files(second, tmp_path):
                 unit = ReceivedUnit(data, stamp, key, False, 0, now_ns, now_ns)
                 output.handle(PictureCame(unit, None))
                 play_ns = begin_s * NS_PER_S + number * 20 * NS_PER_MS
-                block = PlayoutBlock(opus, first + number * BLOCK, BLOCK, play_ns, BLOCK)
-                output.handle(SoundCame(block, None))
+                block = PlayoutBlock(None, first + number * BLOCK, BLOCK, play_ns, BLOCK)
+                packet = RtpReceived(None, opus, number, block.timestamp, play_ns, 0, number == 0)
+                # Blocks that were not played are saved, too.
+                output.handle(SoundCame(block, None, [packet]))
         assert output.finish() == []
     for path in (pictures, voice):
         with av.open(path) as container:

@@ -6,8 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_recording import BEGIN_NS, LINK_CYCLES, MS, S, write_recording
+from synthetic_recording import (
+    BEGIN_NS,
+    FACTS_OF_SYNTHETIC,
+    LINK_CYCLES,
+    MS,
+    Coded,
+    S,
+    octets_of_part,
+    picture,
+    write_recording,
+)
 
+from pipelines.recording.channels import channels_of
 from pipelines.recording.export.columns import Columnizer, joined, table_names
 from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
 from pipelines.recording.joined import JoinedMessage, JoinedRecording, read_part
@@ -19,6 +30,8 @@ from pipelines.recording.messages import (
     SAMPLE,
     pack_haptics,
 )
+from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.table import topology_of
 
 
 def read(recording):
@@ -180,3 +193,21 @@ def test_samples_an_hour_ahead_within_a_message_are_moved():
         instants_s = [5000 + 0.01 * number for number in range(20)]
         instants_s[place] = wrong_s
         assert settled_s(instants_s)[0] == pytest.approx([5000] * 20, abs=1)
+
+
+@pytest.mark.parametrize("first_ns", [(1 << 63) - 20 * MS, 1 << 63, (1 << 64) - S])
+def test_messages_of_any_wall_time_that_a_file_can_hold_are_in_the_tables(monkeypatch, first_ns):
+    rows = channels_of(topology_of(BUILT_IN["spacejustin"]))
+    units = [Coded(number, number * 10 * MS, b"\0\0\0\1", False, 8, 8) for number in range(9)]
+    monkeypatch.setattr("synthetic_recording.wall_ns", lambda at_ns: at_ns + first_ns)
+    told = [picture("/camera/head", unit, unit.number, 0) for unit in units]
+    octets = octets_of_part(rows, FACTS_OF_SYNTHETIC, told, end=True)
+    with pytest.MonkeyPatch.context() as without:
+        # Its facts are lost.
+        without.setattr("pipelines.recording.inventory.FACTS", "none")
+        recording = JoinedRecording(parts=[read_part(memoryview(octets))])
+    collector = TableCollector(recording.begin_ns)
+    for message in recording.messages():
+        collector.handle_message(message)
+    assert not collector.columnizer.unreadable
+    assert collector.tables()["camera_head"]["time_s"] == pytest.approx(np.arange(9) / 100)
