@@ -11,6 +11,7 @@ from kontur_av.errors import ConfigError, refused
 
 #: What a file has in its name until it is whole.
 UNFINISHED = ".unfinished"
+_LONGEST_PATH = 1000
 
 
 class FileStore(Protocol):
@@ -102,6 +103,8 @@ def fill_folder(store: FileStore, folder: str, files: Mapping[str, StoredFile], 
 
 
 def safe_path(path: str) -> bool:
-    """Whether a path from a list stays within its folder, and can stand in a line."""
+    """Whether a path from a list stays within its folder, and can stand in a line and on a disk."""
     parts = path.split("/")
-    return path.isprintable() and "\\" not in path and not {"", ".", ".."} & set(parts)
+    if not path.isprintable() or "\\" in path or len(path.encode()) > _LONGEST_PATH:
+        return False
+    return not {"", ".", ".."} & {*parts} and all(len(part.encode()) < 256 for part in parts)

@@ -29,23 +29,32 @@ _EXECUTABLE = 0o100
 
 
 def read_archive(octets: bytes) -> dict[str, StoredFile]:
-    """Return the files of a tar archive, plain or compressed by gzip. Folders are left out.
+    """Return the files of a tar archive, plain or compressed by gzip.
 
     ConfigError, with the reason, if it is damaged, too large, or holds anything but files that
     stay within their folder.
     """
     files: dict[str, StoredFile] = {}
+    named = set()
     try:
         with tarfile.open(fileobj=BytesIO(_plain(octets)), mode="r:") as archive:
             for number, member in enumerate(archive, 1):
                 if number > _MOST_FILES:
                     raise ConfigError(f"the archive has more than {_MOST_FILES} files")
-                _take(archive, member, files)
-    except (tarfile.TarError, zlib.error, ValueError, OverflowError, EOFError) as error:
+                if member.isdir():
+                    named.add(member.name.removeprefix("./"))
+                else:
+                    _take(archive, member, files)
+    except ConfigError:
+        raise
+    except Exception as error:
+        # Also RecursionError: each long name in a row costs tarfile some frames of its stack.
         raise ConfigError(f"no sound archive: {error}") from None
     folders = {path[:at] for path in files for at, letter in enumerate(path) if letter == "/"}
     for path in sorted(folders & files.keys()):
         raise ConfigError(f"the archive has {path!r} as a file and as a folder")
+    for path in sorted(named - folders - {".", ""}):
+        raise ConfigError(f"the archive has the empty folder {path!r}: put a file into it")
     return files
 
 
@@ -65,8 +74,6 @@ def _plain(octets: bytes) -> bytes:
 
 def _take(archive: tarfile.TarFile, member: tarfile.TarInfo, files: dict[str, StoredFile]) -> None:
     name = member.name.removeprefix("./")
-    if member.isdir():
-        return
     if not member.isreg() or member.issparse():
         raise ConfigError(f"the archive has {name!r}, which is no plain file")
     if not safe_path(name) or name in files:
@@ -190,11 +197,12 @@ class UpdateInbox:
 def version_of(name: str) -> str:
     """Return the version that an archive is called after; "" if the file is no archive."""
     ending = next((one for one in _ARCHIVES if name.endswith(one)), "")
-    return "" if not ending or name.startswith(".") else name.removesuffix(ending)
+    odd = name.startswith(".") or not name.isprintable()
+    return "" if not ending or odd else name.removesuffix(ending)
 
 
 def is_order(name: str) -> bool:
-    return name.endswith(_ORDER) and not name.startswith(".")
+    return name.endswith(_ORDER) and not name.startswith(".") and name.isprintable()
 
 
 def _answers_of(told: bytes) -> tuple[InboxAnswer, ...]:

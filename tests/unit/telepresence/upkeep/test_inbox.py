@@ -27,6 +27,16 @@ def archive(*members, kind=tarfile.REGTYPE, link=""):
     return out.getvalue()
 
 
+def headers(*members):
+    """Members that only say something about the next one: pairs of type and octets."""
+    out = b""
+    for kind, octets in members:
+        about = tarfile.TarInfo("@")
+        about.type, about.size = kind, len(octets)
+        out += about.tobuf() + octets.ljust(512, b"\0")
+    return out
+
+
 def test_an_archive_is_read_plain_and_compressed():
     plain = archive(("./run", RUN.octets), ("lib/a", b""))
     files = {"run": RUN, "lib/a": StoredFile(b"", executable=True)}
@@ -52,8 +62,18 @@ def test_an_archive_is_read_plain_and_compressed():
         archive(*((str(number), b"") for number in range(1001))),
         gzip.compress(bytes(65 << 20), 1),
         bytes(inboxes.MOST_ARCHIVE_OCTETS + 1),
+        headers((tarfile.GNUTYPE_LONGNAME, b"a")) * 3000,
+        headers((tarfile.GNUTYPE_LONGLINK, b"a")) * 3000,
+        gzip.compress(headers((tarfile.XHDTYPE, b"10 path=a\n")) * 30_000),
+        headers((tarfile.XGLTYPE, b"10 path=a\n")) * 3000,
+        headers((tarfile.XHDTYPE, b"17 size=-5000000\n")) + archive(("run", b"")),
+        headers((tarfile.XHDTYPE, b"99999999999999999999 a=b\n")) + archive(("run", b"")),
+        archive(("a" * 256, b"")),
+        archive(*((f"{'a' * 200}/" * 6 + "b", b"") for _ in "a")),
+        archive(("log", b""), kind=tarfile.DIRTYPE),
+        b"\x1f\x8b" + bytes(5000),
     ],
-    ids=range(15),
+    ids=range(25),
 )
 def test_what_is_no_sound_archive_is_refused(octets):
     with pytest.raises(ConfigError, match="archive"):
