@@ -17,6 +17,7 @@ from kontur_av.errors import ConfigError
 from pipelines.session.command_process import (
     discard_output,
     handled,
+    hide_secrets,
     keep_words_apart,
     prepare_output,
     reader_gone,
@@ -217,6 +218,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result: int = args.run(args)
         return result
 
+    if arguments is None:
+        hide_secrets()
     apart = arguments is None and _READERS.intersection(sys.argv[1:2])
     return exit_code(partial(_apart, work) if apart else work, "kontur-av")
 

@@ -1,10 +1,10 @@
 """`kontur-av export`: a recording as tables, as Matroska files, as a data set for learning."""
 
 import argparse
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rich.console import Console
 from rich.progress import Progress
 
 from kontur_av.errors import ConfigError
@@ -15,6 +15,7 @@ from pipelines.recording.export.table_files import CsvExport, MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recording_file import Outputs
+from pipelines.report.result import WordsConsole
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
 
@@ -80,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _with_progress(recording: JoinedRecording) -> Iterator[JoinedMessage]:
     total = sum(recording.counts.values())
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    with Progress(console=WordsConsole(output=sys.stderr), transient=True) as progress:
         progress.disable = not progress.console.is_terminal
         task = progress.add_task("export", total=total)
         for number, message in enumerate(recording.messages()):

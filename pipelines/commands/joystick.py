@@ -16,7 +16,8 @@ from pipelines.commands.check_results import (
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.driver_checks import JoystickCheck, run_live, run_virtually
 from pipelines.hand.timed_calls import timed
-from pipelines.report.report_file import check_writable, words_console, write_report
+from pipelines.report.report_file import check_writable, write_report
+from pipelines.report.result import WordsConsole
 from pipelines.session.command_process import (
     ended_alike,
     output_that_may_fail,
@@ -89,7 +90,7 @@ def _list() -> int:
 
 def _check(spec: str, axes: Sequence[AxisName] | None) -> int:
     say_unprotected(spec)
-    device, console = open_alone(spec, axes=axes), words_console()
+    device, console = open_alone(spec, axes=axes), WordsConsole()
     console.print(f"{device.facts.name}; it moves a few centimetres: hands off", highlight=False)
     # Whatever ends it, the joystick is closed.
     with ended_alike(), timed(device) as joystick:
@@ -99,7 +100,7 @@ def _check(spec: str, axes: Sequence[AxisName] | None) -> int:
 def _test(spec: str, check: str, report: Path | None) -> int:
     check_writable(report)
     say_unprotected(spec)
-    device, console = open_alone(spec, axes=None), words_console()
+    device, console = open_alone(spec, axes=None), WordsConsole()
     bench = CheckBench(device, list(CHECKS) if check == _ALL else [check])
     try:
         if is_simulated(spec):

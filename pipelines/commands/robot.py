@@ -15,7 +15,7 @@ from pipelines.hand.haptics import robot_side
 from pipelines.hand.partner_arm import keep_powered, run_side, told
 from pipelines.hand.safety_ends import within
 from pipelines.hand.timed_calls import timed
-from pipelines.report.report_file import words_console
+from pipelines.report.result import WordsConsole
 from pipelines.session.command_process import ended_alike
 from pipelines.session.option_rows import add_actions
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     if isinstance(device, Robot):
         raise ConfigError(f"robot {args.robot} has no driver to check: write module:Class or udp:")
     say_unprotected(args.robot)
-    console = words_console()
+    console = WordsConsole()
     console.print(f"{args.robot}; it moves a few centimetres", highlight=False)
     # Whatever ends it, the robot is switched off.
     with ended_alike(), timed(device) as robot:

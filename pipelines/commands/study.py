@@ -10,7 +10,7 @@ from rich.table import Table
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.rtc_running import driven
-from pipelines.report.report_file import words_console
+from pipelines.report.result import WordsConsole
 from pipelines.session.command_process import output_that_may_fail, say
 from pipelines.session.option_rows import add_options
 from pipelines.session.served_pages import bound_server, served
@@ -73,7 +73,7 @@ def _report(folder: Path, plan: StudyPlan, trials: StudyFolder) -> None:
     with output_that_may_fail():
         for line in summary_of(report):
             print(line)
-        words_console().print(table)
+        WordsConsole().print(table)
     for path in write_tables(folder, trials.results, report):
         say(str(path))
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Self
 
 from rich.columns import Columns
-from rich.console import Console, Group
+from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -19,12 +19,12 @@ from pipelines.media.marking import age_words
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import StreamFigures
 from pipelines.report.link_report import LinkView, peer_words
-from pipelines.report.result import fitted_line, fitted_table
+from pipelines.report.result import WordsConsole, fitted_line, fitted_table
 from pipelines.report.sections import clock_lines, recording_line, rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import last_bps, shown_now, silences
 from pipelines.report.summary import NO_SAMPLE
-from pipelines.session.command_process import say
+from pipelines.session.command_process import OwnOutput, plain, say
 from pipelines.session.launcher import Launcher
 from pipelines.session.session_switch import Activity
 from pipelines.session.setup.table import VideoStream, VoiceStream
@@ -60,7 +60,7 @@ class LiveView:
 
     def __init__(self, collector: Collector, *, quiet: bool = False, verbose: bool = False) -> None:
         self._collector = collector
-        self._console = Console(file=sys.stdout)
+        self._console = WordsConsole(width=80)
         self._quiet = quiet
         self._verbose = verbose
         # No thread of rich's: the launcher forks.
@@ -297,7 +297,8 @@ class LinkScreen:
             print("  ".join(lines), flush=True)
             return
         up = f"\x1b[{self._shown}A" if self._shown else ""
-        print(up + "".join(f"\x1b[K{line[:width]}\n" for line in lines), end="", flush=True)
+        text = up + "".join(f"\x1b[K{plain(line)[:width]}\n" for line in lines)
+        print(text, end="", file=OwnOutput(sys.stdout), flush=True)
         self._shown = len(lines)
 
     def show_lines(self, lines: Sequence[str]) -> None:

@@ -8,11 +8,9 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-
 from kontur_av.errors import ConfigError
 from pipelines.report.model import SessionReport, to_json
-from pipelines.report.result import Headline, as_json
+from pipelines.report.result import Headline, WordsConsole, as_json
 from pipelines.report.summary import print_summary
 from pipelines.session.command_process import discard_output, output_that_may_fail
 
@@ -111,18 +109,14 @@ def write_result(
     write_report(path, {**body, "headlines": as_json(headlines, digits=6)})
 
 
-#: The width in characters when the output is no terminal.
-_WIDTH = 118
-
-
-class TableConsole(Console):
+class TableConsole(WordsConsole):
     """A console for which a closed pipe, as of `| head -1`, is no failure.
 
     wanted: the figures also go to a file, so the bench goes on without printing. Otherwise it ends
     with exit code 0.
     """
 
-    def __init__(self, *, width: int | None, wanted: bool) -> None:
+    def __init__(self, *, width: int, wanted: bool) -> None:
         super().__init__(width=width)
         self._wanted = wanted
 
@@ -135,19 +129,14 @@ class TableConsole(Console):
 
 
 def open_console(
-    args: argparse.Namespace, *, width: int = _WIDTH, wanted: bool = False
+    args: argparse.Namespace, *, width: int = 118, wanted: bool = False
 ) -> TableConsole:
     """The console of a bench with the options `args`, of which `report` and `plot` name files.
 
     wanted: the bench writes other files.
     """
     wanted = wanted or any(getattr(args, name, None) is not None for name in ("report", "plot"))
-    return TableConsole(width=None if Console().is_terminal else width, wanted=wanted)
-
-
-def words_console() -> Console:
-    """The console of a command whose tables are wider than 80 characters, also in a log."""
-    return Console(width=None if Console().is_terminal else _WIDTH)
+    return TableConsole(width=width, wanted=wanted)
 
 
 def end_with(report_file: Path | None, report: object, failed: Sequence[str]) -> int:

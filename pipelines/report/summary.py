@@ -10,7 +10,7 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS
 from pipelines.report import model
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
-from pipelines.report.result import fitted_line, fitted_table
+from pipelines.report.result import WordsConsole, fitted_line, fitted_table
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow
@@ -42,8 +42,7 @@ def task_line(run: TaskRow) -> str:
 
 def print_summary(report: model.SessionReport) -> None:
     """The streams, the senses and the cost, on standard output."""
-    # Without a terminal no width limits the table; the widest one takes about this.
-    console = Console() if Console().is_terminal else Console(width=118)
+    console = WordsConsole()
     console.print(Text(first_line(report, console.width), "bold"))
     console.print(streams_table(report, console.width))
     for direction, link in report.link.items():

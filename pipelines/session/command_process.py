@@ -1,7 +1,9 @@
 """The process of a command: signals that end it, the processes that it has started, its output."""
 
+import ctypes
 import fcntl
 import os
+import re
 import select
 import signal
 import subprocess
@@ -12,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import monotonic
 from types import FrameType
+from typing import Any
 
 #: Ctrl-C, the end by another program, and a closed terminal.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -75,8 +78,36 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
         yield lambda: bool(caught)
 
 
+#: Also what turns the direction of a line, or ends it, in Unicode.
+_CONTROL = re.compile("[\0-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
+
+
+def plain(text: str) -> str:
+    """Return the text with its control characters escaped, but for tabs and ends of lines."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+class OwnOutput:
+    """A standard stream for our own control sequences; any other text is escaped on its way."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> Any:
+        return type(self._stream).write(self._stream, text)
+
+    def write_words(self, text: str) -> Any:
+        return self.write(plain(text))
+
+
 def prepare_output() -> None:
-    """Make standard output and standard error fit for any text, even if the caller closed them."""
+    """Make standard output and standard error fit for any text, even if the caller closed them.
+
+    Words of drivers, peers and files cannot control the terminal.
+    """
     # Else the next file that is opened would get the words.
     for fd in range(3):
         try:
@@ -91,8 +122,10 @@ def prepare_output() -> None:
     for name, fd in (("stdout", 1), ("stderr", 2)):
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(fd, "w", closefd=False))
+        stream: Any = getattr(sys, name)
         with suppress(AttributeError):
-            getattr(sys, name).reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors="backslashreplace")
+            stream.write = OwnOutput(stream).write_words
 
 
 def keep_words_apart(args: Namespace) -> None:
@@ -105,6 +138,20 @@ def keep_words_apart(args: Namespace) -> None:
                 if os.path.samestat(Path(value).stat(), out):
                     sys.stdout = sys.stderr
                     return
+
+
+#: In the memory that `ps` shows of a command: a token, and a password in a URL.
+_SECRETS = re.compile(rb"\0--tok(?:en?)?[\0=]([^\0]+)|://[^/@\0]*:([^/@\0]+)@")
+
+
+def hide_secrets() -> None:
+    """Overwrite secrets of this process's command line, which every user of the machine can see."""
+    with suppress(OSError):
+        fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+        begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end of proc(5)
+        for found in _SECRETS.finditer(ctypes.string_at(begin, end - begin)):
+            first, last = found.span(found.lastindex or 0)
+            ctypes.memset(begin + first, ord("x"), last - first)
 
 
 def print_data(text: str) -> None:

@@ -53,6 +53,26 @@ def test_any_charset_takes_the_words(charset):
     assert [ended(process) for process in each] == [(0, "")] * len(COMMANDS)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("watch", "--whep", "http://127.0.0.1:9/x", "--token", "s3cret"),
+        ("watch", "--whep", "http://127.0.0.1:9/x", "--tok=s3cret"),
+        ("apploader", "run", "dir", "--boot", "flash", "--ftp", "ftp://kontur:s3cret@127.0.0.1:9/"),
+    ],
+    ids=range(3),
+)
+def test_a_secret_of_the_command_line_is_not_in_the_list_of_processes(words, tmp_path):
+    listed = "print(open('/proc/self/cmdline').read().replace('\\0', ' '))"
+    called = (
+        f"import sys, pipelines.cli as cli; cli._loaded = lambda *_, **__: {listed}; cli.main()"
+    )
+    process = start(*words, program=("-c", called), stdout=subprocess.PIPE, cwd=tmp_path)
+    out = process.stdout.read().decode()
+    ended(process)
+    assert out.rstrip().endswith(" ".join(words).replace("s3cret", "xxxxxx"))
+
+
 def test_a_report_on_standard_output_has_no_words_in_it(tmp_path):
     words = ["simulate", "--setup", "taskboard", "--no-media", "--radio", "clean"]
     path = tmp_path / "out.json"

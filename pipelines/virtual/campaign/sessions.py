@@ -35,7 +35,7 @@ from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from pipelines.report.model import SessionReport, from_json
 from pipelines.report.report_file import write_report
-from pipelines.session.command_process import end_all
+from pipelines.session.command_process import OwnOutput, end_all, plain
 from pipelines.session.option_rows import add_options
 from pipelines.virtual.campaign.figures import Crash, Result, SessionTask
 from pipelines.virtual.media import check_virtual_sources
@@ -273,7 +273,8 @@ class Progress:
         left = self._left(done, now_s - self._began_s)
         line = f"{done} of {self._total} {self._what}{left}{note and '; ' + note}"
         end = "\n" if last or not self._terminal else ""
-        print(f"\r\x1b[K{line}" if self._terminal else line, end=end, file=sys.stderr, flush=True)
+        begin = "\r\x1b[K" if self._terminal else ""
+        print(begin + plain(line), end=end, file=OwnOutput(sys.stderr), flush=True)
 
     def _left(self, done: int, took_s: float) -> str:
         if not 0 < done < self._total:
