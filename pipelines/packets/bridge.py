@@ -6,6 +6,7 @@ Which telecommands it may send, and which are new though their counts are known.
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
@@ -353,9 +354,11 @@ class PeerQueue:
 
     DEPTH = 256
 
-    def __init__(self) -> None:
+    def __init__(self, now_ns: int = 0) -> None:
         self._packets: deque[tuple[bytes, int]] = deque()
         self._written = 0
+        #: When the peer had last acknowledged all, and when it sent something; whether it sends on.
+        self.taken_ns, self.heard_ns, self.sends = now_ns, 0, True
         self.dropped = 0
         self.max_age_ns = 0
 
@@ -379,3 +382,22 @@ class PeerQueue:
             self._packets.popleft()
             self._written = 0
             self.max_age_ns = max(self.max_age_ns, now_ns - since_ns)
+
+
+_Peer = TypeVar("_Peer")
+#: A peer that has not acknowledged all for so long is stalled.
+_STALLED_NS = 5 * NS_PER_S
+
+
+def gives_way(queues: Mapping[_Peer, PeerQueue], now_ns: int) -> _Peer:
+    """Return which of too many peers ends for a new one.
+
+    One that only reads first, and may have gone; then one that is stalled; then that which sent
+    something least lately; of equals the oldest.
+    """
+
+    def rank(peer: _Peer) -> tuple[bool, int, int]:
+        queue = queues[peer]
+        return queue.sends, min(queue.taken_ns, now_ns - _STALLED_NS), queue.heard_ns
+
+    return min(queues, key=rank)

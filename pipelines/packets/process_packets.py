@@ -28,6 +28,7 @@ from pipelines.packets.bridge import (
     PacketSplitter,
     PeerQueue,
     allowed_commands,
+    gives_way,
 )
 from pipelines.session.command_process import say
 from pipelines.session.datagrams import (
@@ -259,7 +260,7 @@ class _Connection:
     """number: of the bridge."""
 
     number: int
-    queue: PeerQueue = field(default_factory=PeerQueue)
+    queue: PeerQueue
     splitter: PacketSplitter = field(default_factory=PacketSplitter)
 
 
@@ -272,28 +273,34 @@ class _Streams:
 
     @property
     def descriptors(self) -> list[int]:
-        return [self._listener.fileno(), *(one.fileno() for one in self._peers)]
+        # One that sends no more would wake this process all the time.
+        reading = (tcp for tcp, one in self._peers.items() if one.queue.sends)
+        return [self._listener.fileno(), *(tcp.fileno() for tcp in reading)]
 
     def read(self, bridge: PacketBridge, now_ns: int) -> None:
         with suppress(OSError):
             while True:
                 tcp, _ = self._listener.accept()
                 if len(self._peers) == _MOST_PEERS:
-                    tcp.close()
-                    continue
+                    queues = {one: peer.queue for one, peer in self._peers.items()}
+                    self._end(gives_way(queues, now_ns))
                 tcp.setblocking(False)
                 tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._peers[tcp] = _Connection(bridge.handle_connection())
+                self._peers[tcp] = _Connection(bridge.handle_connection(), PeerQueue(now_ns))
         for tcp, peer in list(self._peers.items()):
             if not peer.queue.octets and not _unacknowledged(tcp):
-                bridge.handle_heard(peer.number)
+                peer.queue.taken_ns = now_ns
+                if peer.queue.sends:
+                    bridge.handle_heard(peer.number)
         for tcp, peer in list(self._peers.items()):
             try:
-                for _ in range(_TURN):
+                for _ in range(_TURN if peer.queue.sends else 0):
                     octets = tcp.recv(_READ_OCTETS)
                     if not octets:
-                        self._end(tcp)
+                        # It may read on; if it has gone, the next packets say so.
+                        peer.queue.sends = False
                         break
+                    peer.queue.heard_ns = now_ns
                     for packet in peer.splitter.handle_octets(octets):
                         bridge.handle_command(packet, now_ns, peer.number)
             except BlockingIOError:

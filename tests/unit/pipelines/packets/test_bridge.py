@@ -102,6 +102,26 @@ def test_a_flood_is_dropped_a_stream_is_split_and_a_slow_peer_loses_no_half_pack
     assert queue.octets == bytes([1])
 
 
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({}, 0),
+        ({0: {"heard_ns": 1}}, 1),
+        ({5: {"taken_ns": 10 * S}}, 5),
+        ({5: {"taken_ns": 26 * S}}, 0),
+        ({5: {"taken_ns": 10 * S}, 6: {"taken_ns": 9 * S}, 0: {"heard_ns": 9}}, 6),
+        ({5: {"taken_ns": 10 * S}, 3: {"sends": False, "heard_ns": 29 * S}}, 3),
+        ({number: {"heard_ns": 90 - number} for number in range(8)}, 7),
+    ],
+)
+def test_of_eight_peers_that_one_gives_way_which_is_most_likely_gone(changed, named):
+    queues = {number: bridges.PeerQueue(30 * S) for number in range(8)}
+    for number, fields in changed.items():
+        for name, value in fields.items():
+            setattr(queues[number], name, value)
+    assert bridges.gives_way(queues, 30 * S) == named
+
+
 class Ends:
     """Both ends."""
 
