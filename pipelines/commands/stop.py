@@ -10,6 +10,7 @@ from kontur_av.topics.session_files import choose_session, sessions
 from pipelines.commands.common import acting_on
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.option_rows import add_options
+from pipelines.session.setup.segments import Segment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,12 +62,26 @@ def _user() -> str:
 
 
 def _release(session: str) -> int:
-    orders = KeptOrders(session)
-    if not orders.stopped:
+    orders, ordered_ns = KeptOrders(session), MonotonicClock().now_ns()
+    held, by = orders.stopped, orders.stopped_by
+    if held:
+        orders.release(f"a terminal of {_user()}")
+    from pipelines.commands import tc
+    from pipelines.hand.safety_ends import await_stopped
+    from pipelines.mission.tmtc_socket import tmtc_path
+
+    here = [end for end in Segment if tmtc_path(session, end).exists()]
+    if here == [Segment.SPACE]:
+        # The robot is across the radio, and answers there.
+        print(f"{session}: this end {'releases its stop' if held else 'has ordered no stop'}")
+        words = {"application": "robot", "words": ["release_stop"], "origin": "space"}
+        return tc.run(argparse.Namespace(**words, session=session, xtce=False))
+    if not held:
         print(f"{session}: no emergency stop holds")
         return 0
-    by = orders.stopped_by
-    orders.release()
+    if silent := await_stopped(session, ordered_ns, stopped=False):
+        print(f"{session}: {silent}", file=sys.stderr)
+        return 1
     print(
         f"{session}: released the emergency stop by {by or 'somebody'}; switch the robot on "
         "(`kontur-av tc robot power_on`), then press the dead-man button anew"

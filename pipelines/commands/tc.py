@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from",
         dest="origin",
         choices=[segment.value for segment in Segment],
-        help="the end that sends it; default: the one across the radio",
+        help="the end that sends it; default: the one across the radio, if it runs here",
     )
     add_options(
         parser, "--session", "--xtce  print the dictionary as XTCE, for other ground systems"
@@ -62,6 +62,10 @@ def run(args: argparse.Namespace) -> int:
     end = Segment(ends.get(args.application, Segment.GROUND.value))
     origin = Segment(args.origin) if args.origin else end.peer
     running = running_sessions(tmtc_socket_name(origin))
+    if not running and args.origin is None:
+        # On a machine of its own, this end sends it to its own application.
+        origin = end
+        running = running_sessions(tmtc_socket_name(origin))
     session = acting_on(args.session, running, moves=True) if running else None
     dictionary = built_in if session is None else read_dictionary(session)
     application = dictionary.application(args.application)
@@ -70,7 +74,8 @@ def run(args: argparse.Namespace) -> int:
     )
     if session is None:
         raise ConfigError(
-            f"no session with its end {origin.value} runs here: start one with kontur-av stream"
+            f"no session with its end {args.origin or end.peer.value} runs here: "
+            "start one with kontur-av stream"
         )
     with TopicBus.join(session) as bus:
         reader = bus.reader(TMTC_TOPICS[origin], depth=32)

@@ -26,6 +26,7 @@ from telepresence.tasks.robot_control import RobotControl, RobotLimits
 #: An unchanged status is told at this interval.
 STATUS_NS = 50 * NS_PER_MS
 _RATE_NS = NS_PER_S
+_TELECOMMAND = "a telecommand"
 _LEFT_OUT = "the joystick drives the partner's robot: start the German experiment first"
 
 
@@ -120,6 +121,8 @@ class RobotDesk:
         if sent_ns < self._began_ns:
             return
         self._commanded, self._refusal = command.number, self._carry_out(command, now_ns)
+        if self._refusal:
+            self._envelope.add_event(f"{command.function} refused: {self._refusal}", now_ns)
 
     def poll_status(self, now_ns: int) -> RobotStatus | None:
         """Return the status if it is due: after what others asked for, at faults, every 50 ms."""
@@ -167,6 +170,7 @@ class RobotDesk:
             hold=safety.hold.value,
             waiting=safety.waiting,
             stopped=envelope.stopped,
+            stopped_by=envelope.stopped_by,
             offset_mm=safety.offset_mm,
             holds=robot.holds,
             joints=robot.joints,
@@ -184,10 +188,10 @@ class RobotDesk:
             case "reset_error":
                 return control.reset()
             case "emergency_stop":
-                envelope.handle_stop(now_ns)
+                envelope.handle_stop(now_ns, _TELECOMMAND)
                 return ""
             case "release_stop":
-                return envelope.handle_stop_released(now_ns)
+                return envelope.handle_stop_released(now_ns, _TELECOMMAND)
             case "set_mode":
                 return control.set_mode(command.mode)
         return f"the robot has no function {command.function}"

@@ -171,7 +171,7 @@ class RobotEnd(_End[RobotSide]):
         if self._ownership.takes(source):
             self.side.handle_datagram(data, now_ns)
         elif stop and not before:
-            self.envelope.handle_stop(now_ns)
+            self.envelope.handle_stop(now_ns, f"the joystick of {source.value}")
 
     def _handle_routed(self, data: bytes, now_ns: int) -> None:
         assert self.board is not None

@@ -157,17 +157,17 @@ def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
         nonlocal known
         ordered = kept.stopped
         if ordered and not known:
-            envelope.handle_stop(now_ns)
+            envelope.handle_stop(now_ns, kept.stopped_by)
         elif known and not ordered:
-            envelope.handle_stop_released(now_ns)
+            envelope.handle_stop_released(now_ns, kept.released_by)
         elif envelope.stopped and not ordered:
             # A stop that cannot be kept holds in this process, and is tried again.
             with suppress(OSError):
-                kept.stop("the joystick or a telecommand")
+                kept.stop(envelope.stopped_by)
                 ordered = True
         elif ordered and not envelope.stopped:
             # By a telecommand.
-            kept.release()
+            kept.release("a telecommand")
             ordered = False
         known = ordered
 
@@ -179,28 +179,36 @@ _HERE_NS, _ACROSS_NS = NS_PER_S, 4 * NS_PER_S
 _LOOK_NS = 10 * NS_PER_MS
 
 
-def await_stopped(session: str, ordered_ns: int) -> str:
+def await_stopped(session: str, ordered_ns: int, *, stopped: bool = True) -> str:
     """Wait until the robot answers a stop; return "", or that it does not, in words.
 
-    ordered_ns: when it was ordered, on this machine's monotonic clock.
+    ordered_ns: when it was ordered, on this machine's monotonic clock. stopped: False for a release
+    on the robot's machine.
     """
     clock = MonotonicClock()
     with TopicBus(session) as bus:
         robot = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
         joystick = bus.reader(JOYSTICK_STATE_TOPIC)
-        while (waited_ns := clock.now_ns() - ordered_ns) < _ACROSS_NS:
+        # Opening them may take seconds on a busy machine.
+        began_ns, status = clock.now_ns(), None
+        while (waited_ns := clock.now_ns() - began_ns) < _ACROSS_NS:
             status = robot.latest() or robot.newest
-            if status is not None and status.stopped and robot.newest_ns >= ordered_ns:
-                return ""
+            if status is not None and robot.newest_ns >= ordered_ns:
+                # A joystick's own stop must be released, too.
+                answered = status.stopped if stopped else not status.stopped_by
+                if answered:
+                    return ""
             octets = joystick.latest_octets()
             held = None if octets is None else unpack_status(octets)
-            if held is not None and held.robot_stopped:
+            if held is not None and held.robot_stopped and stopped:
                 return ""
             if status is not None and waited_ns >= _HERE_NS:
                 # It is on this machine.
                 break
             clock.sleep_until_ns(clock.now_ns() + _LOOK_NS)
         since_ns = clock.now_ns() - (robot.newest_ns or ordered_ns)
+    if status is not None and not (stopped or status.stopped) and since_ns < _HERE_NS:
+        return f"{status.stopped_by} orders the stop, too: release it there"
     seconds = f"{since_ns / NS_PER_S:.1f} s"
     return f"the robot has not answered for {seconds}: look at it, and take its power there"
 

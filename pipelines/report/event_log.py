@@ -19,6 +19,7 @@ from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
 from pipelines.session.verdict import ProcessNow
+from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import JoystickFigures, RobotFigures
 from telepresence.haptics.ownership import OwnerEvent, OwnershipFigures
 from telepresence.link.figures import PeerFigures, SupervisionFigures
@@ -118,6 +119,7 @@ class EventLog:
         arm = process("robot").find(OwnershipFigures)
         yield from self._dated("trainer", process(TRAINER).total(TrainerFigures).exercises)
         yield from self._dated("robot", () if arm is None else arm.events)
+        yield from self._dated("robot", process("robot").total(SafetyFigures).events, "stop")
         # Events of users' components in telemetry, and their faults.
         for component in self._collector.topology.options.components:
             name = component.application.name

@@ -114,7 +114,10 @@ def safety_report(collector: Collector) -> SafetyFigures | None:
     told = collector.process(ROBOT).find(SafetyFigures)
     if told is None:
         return None
-    return replace(told, since_s=round(told.since_s - _radio_epoch_ns(collector) / NS_PER_S, 3))
+    epoch_ns = _radio_epoch_ns(collector)
+    events = tuple(replace(event, at_ns=event.at_ns - epoch_ns) for event in told.events)
+    since_s = round(told.since_s - epoch_ns / NS_PER_S, 3)
+    return replace(told, since_s=since_s, events=events)
 
 
 def skew_reports(collector: Collector) -> dict[str, model.SkewReport | None]:

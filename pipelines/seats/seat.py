@@ -130,7 +130,9 @@ class Seat:
         )
         self._figures = FiguresLog()
         self._joystick: texts.JoystickText | None = None
-        self._safety = texts.SafetyText(stopped=False, by="", waiting=False, hold="")
+        self._safety = texts.SafetyText(
+            stopped=False, answered=False, by="", waiting=False, hold=""
+        )
         self._stop: tuple[bool, str] = (False, "")
         self._signal: bool | None = None
         self.camera: str | None = None
@@ -290,7 +292,13 @@ class Seat:
             case texts.StopRequest():
                 by = f"the {page.role.words} at the page of {segment.value}"
                 self._events.append(StopAsked(request.action == "stop", by))
-                return ""
+                if request.action == "stop" or self.plan.orders:
+                    return ""
+                # The robot is across the radio, and answers there.
+                asked = texts.CommandRequest(
+                    request=request.request, application="robot", name="release_stop"
+                )
+                return self.mission.handle_command(number, page.role, asked, now_ns)
             case texts.RecordingRequest() | texts.ExerciseRequest() | texts.FetchRequest():
                 self._events.append(PageRequest(number, request))
         return None
@@ -333,7 +341,7 @@ class Seat:
         """What a process of the mission shows; pages get it with the next heartbeat."""
         self.mission.handle_shown(kind, shown)
         if isinstance(shown, RobotStatus):
-            self._hear_robot(shown.stopped, shown.waiting, shown.hold)
+            self._hear_robot(shown.stopped, shown.waiting, shown.hold, shown.stopped_by)
 
     def handle_stop(self, ordered: bool, by: str, now_ns: int) -> None:
         """Whether an emergency stop is kept on this machine, and who ordered it."""
@@ -341,8 +349,10 @@ class Seat:
             self._stop = (ordered, by)
             self._tell_state(now_ns)
 
-    def _hear_robot(self, stopped: bool, waiting: bool, hold: str) -> None:
-        self._safety = texts.SafetyText(stopped=stopped, by="", waiting=waiting, hold=hold)
+    def _hear_robot(self, stopped: bool, waiting: bool, hold: str, by: str = "") -> None:
+        self._safety = texts.SafetyText(
+            stopped=stopped, answered=stopped, by=by, waiting=waiting, hold=hold
+        )
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
         if camera != self.camera:
@@ -392,7 +402,9 @@ class Seat:
                 camera=self.camera,
                 joystick=self._joystick,
                 safety=replace(
-                    self._safety, stopped=self._safety.stopped or self._stop[0], by=self._stop[1]
+                    self._safety,
+                    stopped=self._safety.stopped or self._stop[0],
+                    by=self._stop[1] or self._safety.by,
                 ),
                 hand=texts.HandText(
                     holder=self.holder,

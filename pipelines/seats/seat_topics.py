@@ -361,7 +361,7 @@ class SeatDeeds:
                         if event.stop:
                             self._orders.stop(event.by)
                         else:
-                            self._orders.release()
+                            self._orders.release(event.by)
                 case PageRequest():
                     self._serving.begin(self._ask(event))
                 case _:

@@ -184,11 +184,13 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
 class SafetyText(msgspec.Struct, frozen=True, kw_only=True):
     """Whether the robot may follow the hand, as this end knows it.
 
-    stopped: an emergency stop holds; by: who ordered it here, "" if it was elsewhere.
+    stopped: an emergency stop is ordered; answered: the robot says that it holds. by: who ordered
+    it, "" if that is not known here.
     waiting: for a new press of the dead-man button. hold: why it holds still, where that is known.
     """
 
     stopped: bool
+    answered: bool
     by: str
     waiting: bool
     hold: str

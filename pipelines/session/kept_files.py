@@ -39,12 +39,12 @@ class StopFile:
     """A stop that holds while its file is there. Once armed it needs no room on a disk."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self._armed = path, path.with_name(f"{path.name}.armed")
+        self.path, self.armed = path, path.with_name(f"{path.name}.armed")
 
     def arm(self) -> None:
         """Have a file ready that only needs another name to be a stop."""
         if not self.path.exists():
-            self._armed.write_bytes(b" " * _MOST_CHARACTERS)
+            self.armed.write_bytes(b" " * _MOST_CHARACTERS)
 
     @property
     def there(self) -> bool:
@@ -74,10 +74,10 @@ class StopFile:
     def order(self, by: str) -> None:
         words = by.encode()[:_MOST_CHARACTERS]
         # Before the file is the stop: its instant names the order. Without room nobody is named.
-        with suppress(OSError), self._armed.open("r+b") as file:
+        with suppress(OSError), self.armed.open("r+b") as file:
             file.write(words.ljust(_MOST_CHARACTERS))
         with suppress(OSError):
-            self._armed.rename(self.path)
+            self.armed.rename(self.path)
         if self.path.exists():
             return
         try:
@@ -89,9 +89,12 @@ class StopFile:
                 return
             self.path.touch()
 
-    def release(self) -> None:
+    def release(self, by: str = "") -> None:
+        # The released file tells who did so.
+        with suppress(OSError), self.path.open("r+b") as file:
+            file.write(by.encode()[:_MOST_CHARACTERS].ljust(_MOST_CHARACTERS))
         try:
-            self.path.rename(self._armed)
+            self.path.rename(self.armed)
         except OSError:
             self.path.unlink(missing_ok=True)
 
@@ -190,8 +193,13 @@ class KeptOrders:
             if self._latch is not None and not self._latch.there:
                 self._latch.order(self.stopped_by)
 
-    def release(self) -> None:
-        self._here.release()
+    @property
+    def released_by(self) -> str:
+        """Who released the last stop, in words; "" if that is not known."""
+        return StopFile(self._here.armed).by
+
+    def release(self, by: str = "") -> None:
+        self._here.release(by)
         with suppress(OSError):
             if self._latch is not None:
                 self._latch.release()
@@ -205,12 +213,9 @@ class KeptOrders:
             if self._latch is not None and self.stopped:
                 if not self._latch.there:
                     self._latch.order(self.stopped_by)
-                for path in (self._latch.path, self._latch.path.parent):
-                    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-                    try:
-                        os.fsync(descriptor)
-                    finally:
-                        os.close(descriptor)
+                with self._latch.path.open("rb") as file:
+                    # Of a renamed file the name goes to the disk, too.
+                    os.fsync(file.fileno())
         except OSError as error:
             return _forgotten(error)
         return ""

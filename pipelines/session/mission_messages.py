@@ -60,7 +60,8 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     commanded: number of the newest `RobotCommand`; None for none. command_refusal: why that was
     refused, "" if it was carried out. step_hz: cycles of the controller, in the last second.
     hold: why it follows no hand, in words, "" if it does. waiting: for a new press. stopped: an
-    emergency stop holds. offset_mm: the robot's place less the hand's. holds: its hand holds a
+    emergency stop holds. stopped_by: who orders it; a joystick's order stays after a release here.
+    offset_mm: the robot's place less the hand's. holds: its hand holds a
     ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
     partner: of the partner's robot, "none", "absent", "ready" or "driven".
     """
@@ -88,6 +89,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     holds: bool = False
     joints: tuple[tuple[float, float], ...] = ()
     partner: str = "none"
+    stopped_by: str = ""
 
 
 class CameraWish(msgspec.Struct, frozen=True, array_like=True):

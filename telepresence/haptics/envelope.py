@@ -5,14 +5,18 @@ docs/safety.md has the rules S1 to S9, and what a new press is.
 In each cycle: call `admit`, give the controller what it returns, and `speed_m_s` as its limit.
 """
 
+from collections import deque
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.figures import Newest
 from telepresence.haptics.echo import ANY_AGE_NS
+from telepresence.haptics.ownership import OwnerEvent
 from telepresence.haptics.sample import STATE_APPLICATION, Command
 
+#: Who stopped it, by a sample; and where nobody knows.
+JOYSTICK, SOMEBODY = "the joystick's end", "somebody"
 #: Nearer than this to the hand (m), the robot has caught up.
 _CAUGHT_UP_M = 0.002
 
@@ -102,12 +106,14 @@ class SafetyFigures:
     resumed: int = 0
     #: Emergency stops.
     stops: int = 0
+    #: Stops, releases, and what the robot refused: the newest 200 since its process began.
+    events: Newest[tuple[OwnerEvent, ...]] = ()
 
 
 class SafetyEnvelope:
     """The state of one robot's envelope. It starts without a press, so nothing moves at first.
 
-    stopped: an emergency stop of an earlier life holds.
+    stopped: an emergency stop of an earlier life holds; then `handle_stop` says who ordered it.
 
     hold, since_ns: why the robot holds still, and since when.
     waiting: a new press is missing.
@@ -133,7 +139,8 @@ class SafetyEnvelope:
         self._picture_hold_ns = round(limits.picture_hold_s * NS_PER_S)
         self._hand_max_ns = round(limits.hand_max_age_s * NS_PER_S) + delay_ns
         self.command_age_ns: int | None = None
-        self.stopped = stopped
+        self.stopped, self._by = stopped, ""
+        self._events: deque[OwnerEvent] = deque(maxlen=200)
         self.blind = False
         self.hold = Hold.STARTED
         self.since_ns = now_ns
@@ -152,6 +159,11 @@ class SafetyEnvelope:
         self._approaching = False
         #: Since when the operator's picture has been too old.
         self._blind_ns: int | None = None
+
+    @property
+    def stopped_by(self) -> str:
+        """Who orders the stop that holds it; a joystick's, also after a release elsewhere."""
+        return self._by or SOMEBODY if self.stopped else JOYSTICK if self._asserted else ""
 
     @property
     def waiting(self) -> bool:
@@ -176,24 +188,31 @@ class SafetyEnvelope:
         self._silent = command is None
         self._set_hold(Hold.STOPPED if self.stopped else Hold.OFF, now_ns)
 
-    def handle_stop(self, now_ns: int) -> None:
+    def handle_stop(self, now_ns: int, by: str = "") -> None:
         """Stop the robot, and latch."""
         if not self.stopped:
             self.stopped = True
             self.stops += 1
             self._set_hold(Hold.STOPPED, now_ns)
+        if not self._by:
+            self._by = by or SOMEBODY
+            self.add_event(f"emergency stop by {self._by}", now_ns)
         self._cause, self._released = Hold.STOPPED, False
 
-    def handle_stop_released(self, now_ns: int) -> str:
+    def handle_stop_released(self, now_ns: int, by: str = "") -> str:
         """Release the emergency stop; return "", or why not. Motion needs a new press.
 
         A joystick that still orders a stop is followed no more either, until it releases its own.
         """
         if not self.stopped:
             return "no emergency stop holds the robot"
-        self.stopped = False
+        self.add_event(f"{by or SOMEBODY} released the emergency stop by {self._by}", now_ns)
+        self.stopped, self._by = False, ""
         self._cause, self._released = Hold.STOPPED, False
         return ""
+
+    def add_event(self, what: str, now_ns: int) -> None:
+        self._events.append(OwnerEvent(now_ns, what))
 
     def admit(self, command: Command | None, x_m: float, y_m: float, now_ns: int) -> Command | None:
         """Return the command that the controller may follow.
@@ -246,6 +265,7 @@ class SafetyEnvelope:
             presses=self.presses,
             resumed=self.resumed,
             stops=self.stops,
+            events=tuple(self._events),
         )
 
     def _may_follow(self, command: Command | None, now_ns: int) -> bool:
@@ -258,7 +278,7 @@ class SafetyEnvelope:
         self._heard_ns = now_ns
         _, _, _, pressed, state, _, _, halted, stop, blind, _ = command
         if stop and not self._asserted:
-            self.handle_stop(now_ns)
+            self.handle_stop(now_ns, JOYSTICK)
         # It is released here and there; until then its hand leads nothing.
         self._asserted = stop
         if stop:

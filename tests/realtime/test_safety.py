@@ -86,7 +86,7 @@ def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatc
 def test_a_stop_outlives_its_killed_session_until_it_is_released(start, monkeypatch):
     first = start("taskboard")
     first.pids()
-    assert first.ask("stop").returncode == 0
+    eventually(lambda: first.ask("stop").returncode == 0, "the robot's answer to a stop")
     os.killpg(first.process.pid, signal.SIGKILL)
     first.process.wait()
     session = start("taskboard")

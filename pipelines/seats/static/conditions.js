@@ -84,9 +84,10 @@ export function robotWords(known) {
   if (known.ended) return { words: "This session has ended. Open the address that the new one prints.", level: "warn" };
   const safety = known.alive ? (known.state?.safety ?? null) : null;
   if (safety === null) return { words: "Nobody says whether the robot may move.", level: "none" };
-  const { stopped, by, waiting, hold } = safety;
+  const { stopped, answered, by, waiting, hold } = safety;
   if (stopped) {
     const who = by === "" ? "" : ` by ${by}`;
+    if (!answered) return { words: `■ Emergency stop${who}: the robot has not answered.`, level: "bad" };
     return { words: `■ Emergency stop${who}: the robot is off until it is released.`, level: "bad" };
   }
   const hindrance = hindranceOf(known);

@@ -113,10 +113,12 @@
  */
 
 /**
- * Whether the robot may follow the hand, as this end knows it. stopped: an emergency stop holds;
- * by: who ordered it here, "" if it was elsewhere. waiting: for a new press of the dead-man
- * button. hold: why it holds still, where that is known.
- * @typedef {{stopped: boolean, by: string, waiting: boolean, hold: string}} SafetyText
+ * Whether the robot may follow the hand, as this end knows it. stopped: an emergency stop is
+ * ordered; answered: the robot says that it holds. by: who ordered it, "" if that is not known
+ * here. waiting: for a new press of the dead-man button. hold: why it holds still, where that is
+ * known.
+ * @typedef {{stopped: boolean, answered: boolean, by: string, waiting: boolean, hold: string}}
+ *   SafetyText
  */
 
 /**
@@ -257,15 +259,16 @@
  * the joystick says that it is. commanded: number of the newest `RobotCommand`; None for none.
  * command_refusal: why that was refused, "" if it was carried out. step_hz: cycles of the
  * controller, in the last second. hold: why it follows no hand, in words, "" if it does. waiting:
- * for a new press. stopped: an emergency stop holds. offset_mm: the robot's place less the hand's.
- * holds: its hand holds a ball. joints: of each the angle in rad and the torque in N m, as far as
- * the robot says them. partner: of the partner's robot, "none", "absent", "ready" or "driven".
+ * for a new press. stopped: an emergency stop holds. stopped_by: who orders it; a joystick's order
+ * stays after a release here. offset_mm: the robot's place less the hand's. holds: its hand holds
+ * a ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
+ * partner: of the partner's robot, "none", "absent", "ready" or "driven".
  * @typedef {{kind: "robot", life: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
  *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds: boolean,
- *   joints: [number, number][], partner: string}} RobotText
+ *   joints: [number, number][], partner: string, stopped_by: string}} RobotText
  */
 
 /**

@@ -3,14 +3,18 @@
 import errno
 import os
 from contextlib import ExitStack
+from unittest.mock import MagicMock
 
 import pytest
 
 from pipelines.cli import main
-from pipelines.commands import common, stop
+from pipelines.commands import common, stop, tc
 from pipelines.hand import safety_ends
+from pipelines.mission.tmtc_socket import tmtc_path, tmtc_socket_name
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.sessions import hold_session
+from pipelines.session.setup.segments import Segment
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 
 @pytest.fixture
@@ -24,7 +28,7 @@ def held(tmp_path, monkeypatch, silent):
     """held("lab", ...): the names of sessions that run, and were not started here."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(common, "started_here", lambda session: False)
-    monkeypatch.setattr(safety_ends, "await_stopped", lambda session, ordered_ns: silent[0])
+    monkeypatch.setattr(safety_ends, "await_stopped", lambda session, ordered_ns, **_: silent[0])
     with ExitStack() as stack:
 
         def hold(*setups):
@@ -52,6 +56,40 @@ def test_without_a_name_it_stops_all_and_its_release_asks(held, silent, capsys):
     assert "several sessions" in capsys.readouterr().err
     assert main(["stop", "--release", "--session", "pool"]) == 0
     assert stopped(lab, pool) == [True, False]
+
+
+def test_a_release_across_the_radio_asks_the_robot_and_one_here_waits_for_it(
+    held, silent, capsys, monkeypatch
+):
+    (lab,) = held("lab")
+    asked = []
+    monkeypatch.setattr(tc, "run", lambda args: asked.append((args.application, args.words)) or 1)
+    assert main(["stop"]) == 0
+    silent[0] = "the joystick's end orders the stop, too: release it there"
+    assert main(["stop", "--release"]) == 1 and not asked
+    out, error = capsys.readouterr()
+    assert f"{lab}: {silent[0]}" in error and "released" not in out
+    # The other end, which the robot is at, may have ordered it.
+    tmtc_path(lab, Segment.SPACE).touch()
+    assert main(["stop", "--release"]) == 1
+    assert asked == [("robot", ["release_stop"])]
+    tmtc_path(lab, Segment.GROUND).touch()
+    assert main(["stop", "--release"]) == 0 and "no emergency stop" in capsys.readouterr().out
+
+
+def test_a_telecommand_goes_from_its_own_end_where_the_other_one_is_elsewhere(held, monkeypatch):
+    (lab,) = held("lab")
+    sent = []
+
+    def running(name):
+        return [lab] if name == tmtc_socket_name(Segment.GROUND) else []
+
+    monkeypatch.setattr(tc, "running_sessions", running)
+    monkeypatch.setattr(tc, "read_dictionary", lambda _session: built_in_dictionary())
+    monkeypatch.setattr(tc.TopicBus, "join", MagicMock())
+    monkeypatch.setattr(tc, "follow", lambda sending, _: sent.append(sending._origin) or 0)
+    assert main(["tc", "robot", "power_on"]) == 0 and sent == [Segment.GROUND]
+    assert main(["tc", "robot", "power_on", "--from", "space"]) == 2
 
 
 def test_it_finds_its_session_on_a_full_disk_and_holds_for_a_user_without_a_name(held, monkeypatch):

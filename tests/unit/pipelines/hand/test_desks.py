@@ -60,6 +60,16 @@ def test_telecommands_are_answered_with_a_refusal_in_words():
         status = desk.poll_status(BEGAN_NS)
         assert (status.commanded, status.command_refusal) == (number, refusal)
     assert (status.powered, status.mode) == (True, "impedance")
+    for number, function in enumerate(("emergency_stop", "power_on", "release_stop", "power_on")):
+        desk.handle_command(RobotCommand(number, function), BEGAN_NS, BEGAN_NS)
+        desk.step(BEGAN_NS)
+        assert desk.status(BEGAN_NS).stopped_by == ("a telecommand" if number < 2 else "")
+    _, *told = [event.what.partition(":")[0] for event in desk._envelope.report().events]
+    assert told == [
+        "emergency stop by a telecommand",
+        "power_on refused",
+        "a telecommand released the emergency stop by a telecommand",
+    ]
     desk.control.handle_fault("a wire broke")
     desk.handle_command(RobotCommand(9, "power_on"), BEGAN_NS, BEGAN_NS)
     status = desk.poll_status(BEGAN_NS)

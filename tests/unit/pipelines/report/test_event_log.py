@@ -18,7 +18,9 @@ from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
+from telepresence.haptics.envelope import SafetyFigures
 from telepresence.haptics.figures import JoystickFigures, RobotFigures
+from telepresence.haptics.ownership import OwnerEvent
 from telepresence.link.figures import ContactFigures, ContactWindows
 from telepresence.link.peer_path import OpenPath
 from telepresence.tasks.experiment import RunStep
@@ -133,7 +135,10 @@ def test_a_robots_fault_and_a_process_that_hangs_are_told_once(session):
         assert session.look(at_s, hung) == [(at_s * 1_000_000, "process", f"robot: {words}")]
         assert session.look(at_s + 0.5, hung) == []
     session.told("robot", RobotFigures())
-    assert session.look(4, [robot]) == [(4_000_000, "session", "robot: its fault is reset")]
+    stop = SafetyFigures(events=(OwnerEvent(NS_PER_S, "emergency stop by the cosmonaut"),))
+    session.told("robot", stop, at_s=3)
+    told = [(1_000_000, "session", "robot: emergency stop by the cosmonaut")]
+    assert session.look(4, [robot]) == [*told, (4_000_000, "session", "robot: its fault is reset")]
 
 
 def test_a_stale_picture_and_a_fresh_one_again(session):

@@ -15,9 +15,10 @@ from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import BLOCK_ROWS, ROW
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.seats.plan import seat_plan
-from pipelines.seats.seat import MOST_ACTING, MOST_VIEWERS, PageRequest, Seat
+from pipelines.seats.seat import MOST_ACTING, MOST_VIEWERS, PageRequest, Seat, StopAsked
 from pipelines.seats.texts import ExerciseRequest, RecordingRequest
 from pipelines.session.access import Role
+from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
@@ -324,6 +325,38 @@ def test_each_seat_does_its_own_and_one_of_two_machines_stops_no_session(ground,
     assert ground.events() == [Order.STOP, PageRequest(1, RecordingRequest(7, "start"))]
     assert [type(event) for event in space.events()] == [Order, SendCommand]
     assert alone.events() == []
+
+
+@pytest.mark.rule("S6")
+def test_a_seat_shows_what_the_robot_answered_and_releases_it_across_the_radio(space):
+    alone = Room(topology=replace(TOPOLOGY, segments=(Segment.SPACE,)))
+    by = "the operator at the page of space"
+    for room in (space, alone):
+        page = room.open()
+        for action in ("stop", "release"):
+            page.ask("stop", action=action)
+        *asked, last = room.events()
+        if room is alone:
+            assert (last.application, last.name) == ("robot", "release_stop")
+            asked, last = asked[:1], asked[1]
+        assert [*asked, last] == [StopAsked(True, by), StopAsked(False, by)]
+        # The release is answered when the robot has answered.
+        assert len(page.texts("answer")) == (1 if room is alone else 2)
+        page, now_ns = room.open(unread=False), 0
+        for ordered, status, shown in (
+            (by, {}, (True, False, by)),
+            (by, {"stopped": True}, (True, True, by)),
+            ("", {"stopped": True, "stopped_by": "a telecommand"}, (True, True, "a telecommand")),
+            ("", {}, (False, False, "")),
+        ):
+            kept = {"life": 1, "powered": True, "mode": "telepresence"}
+            robot = RobotStatus(**kept, x_m=0.0, y_m=0.0, push_n=0.0, **status)
+            room.seat.handle_shown("robot", robot)
+            room.seat.handle_stop(bool(ordered), ordered, 0)
+            now_ns += NS_PER_S
+            room.seat.handle_time(now_ns)
+            safety = page.texts("state")[-1]["safety"]
+            assert (safety["stopped"], safety["answered"], safety["by"]) == shown
 
 
 @pytest.mark.parametrize("segment", list(Segment))

@@ -99,7 +99,7 @@ def test_orders_without_room_are_unknown_and_older_ones_do_not_come_back(kept, m
 
 
 def test_a_stop_that_cannot_be_kept_holds_the_robot_and_is_tried_again(kept, monkeypatch):
-    envelope = SimpleNamespace(stopped=True)
+    envelope = SimpleNamespace(stopped=True, stopped_by="a telecommand")
     follow = follow_stop(kept, SimpleNamespace(envelope=envelope))
     with monkeypatch.context() as disk:
         disk.setattr(kept, "stop", full)

@@ -226,6 +226,36 @@ def test_s6_a_joystick_that_still_orders_a_stop_is_not_followed():
     assert bench.envelope.stops == 1
 
 
+@pytest.mark.rule("S6")
+def test_s6_the_robot_knows_who_stopped_it_who_released_it_and_when():
+    bench = followed()
+    stop, release = bench.envelope.handle_stop, bench.envelope.handle_stop_released
+    stop(bench.now_ns, "the cosmonaut")
+    stop(bench.now_ns, "a terminal")
+    assert bench.envelope.stopped_by == "the cosmonaut"
+    release(bench.now_ns + 1, "the supervisor")
+    bench.change(stop=True).run(1)
+    release(bench.now_ns)
+    # The joystick orders it still.
+    bench.run(1)
+    assert bench.envelope.stopped_by == "the joystick's end"
+    bench.change(stop=False).run(1)
+    assert bench.envelope.stopped_by == ""
+    assert [event.what for event in bench.envelope.report().events] == [
+        "emergency stop by the cosmonaut",
+        "the supervisor released the emergency stop by the cosmonaut",
+        "emergency stop by the joystick's end",
+        "somebody released the emergency stop by the joystick's end",
+    ]
+    again = SafetyEnvelope(stopped=True)
+    again.handle_stop(5, "the cosmonaut")
+    assert (again.stopped_by, again.report().events[0].at_ns, again.stops) == (
+        "the cosmonaut",
+        5,
+        0,
+    )
+
+
 @pytest.mark.rule("S7")
 @pytest.mark.parametrize("lasts_ms", [30, 290])
 def test_s7_after_a_short_drop_out_it_catches_up_slowly(lasts_ms):
