@@ -15,7 +15,7 @@ from pipelines.recording.export.table_files import CsvExport, MatExport
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recorded_parts import read_recording
 from pipelines.recording.recording_file import Outputs
-from pipelines.report.result import WordsConsole
+from pipelines.report.report_file import WordsConsole
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
 

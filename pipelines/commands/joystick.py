@@ -16,8 +16,7 @@ from pipelines.commands.check_results import (
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.driver_checks import JoystickCheck, run_live, run_virtually
 from pipelines.hand.timed_calls import timed
-from pipelines.report.report_file import check_writable, write_report
-from pipelines.report.result import WordsConsole
+from pipelines.report.report_file import WordsConsole, check_writable, write_report
 from pipelines.session.command_process import (
     ended_alike,
     output_that_may_fail,

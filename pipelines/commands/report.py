@@ -9,7 +9,7 @@ from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.report.account import account_of
 from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
-from pipelines.report.report_file import write_text
+from pipelines.report.report_file import WordsConsole, write_text
 from pipelines.report.summary import print_summary
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     path = Path(args.report)
     report = read_report(path)
     if not args.html:
-        print_summary(report)
+        print_summary(report, WordsConsole())
         return 0
     account = path.with_suffix(".html")
     with refused(f"{account}: cannot be written"):

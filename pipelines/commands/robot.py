@@ -15,7 +15,7 @@ from pipelines.hand.haptics import robot_side
 from pipelines.hand.partner_arm import keep_powered, run_side, told
 from pipelines.hand.safety_ends import within
 from pipelines.hand.timed_calls import timed
-from pipelines.report.result import WordsConsole
+from pipelines.report.report_file import WordsConsole
 from pipelines.session.command_process import ended_alike
 from pipelines.session.option_rows import add_actions
 from telepresence.haptics.envelope import SafetyEnvelope, SafetyLimits

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.rtc_running import driven
-from pipelines.report.result import WordsConsole
+from pipelines.report.report_file import WordsConsole
 from pipelines.session.command_process import output_that_may_fail, say
 from pipelines.session.option_rows import add_options
 from pipelines.session.served_pages import bound_server, served

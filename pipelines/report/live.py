@@ -19,7 +19,8 @@ from pipelines.media.marking import age_words
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import StreamFigures
 from pipelines.report.link_report import LinkView, peer_words
-from pipelines.report.result import WordsConsole, fitted_line, fitted_table
+from pipelines.report.report_file import WordsConsole
+from pipelines.report.result import fitted_line, fitted_table
 from pipelines.report.sections import clock_lines, recording_line, rtc_line
 from pipelines.report.session_report import haptic_cap_bps, latency_ms
 from pipelines.report.silence import last_bps, shown_now, silences

@@ -5,14 +5,23 @@ import os
 import secrets
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import IO, Any, cast
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 
 from kontur_av.errors import ConfigError
 from pipelines.report.model import SessionReport, to_json
-from pipelines.report.result import Headline, WordsConsole, as_json
+from pipelines.report.result import Headline, as_json
 from pipelines.report.summary import print_summary
-from pipelines.session.command_process import discard_output, output_that_may_fail
+from pipelines.session.command_process import (
+    OwnOutput,
+    discard_output,
+    output_that_may_fail,
+    plain,
+)
 
 #: Linux follows as many links.
 _LINKS = 40
@@ -109,6 +118,28 @@ def write_result(
     write_report(path, {**body, "headlines": as_json(headlines, digits=6)})
 
 
+#: The width in characters when the output is no terminal; wider than 80, also in a log.
+_WIDTH = 118
+
+
+class WordsConsole(Console):
+    """A console that shows control characters in what it prints, instead of obeying them.
+
+    width: where the output is no terminal. output: default: standard output.
+    """
+
+    def __init__(self, *, width: int = _WIDTH, output: Any = None) -> None:
+        super().__init__(file=cast(IO[str], OwnOutput(output or sys.stdout)))
+        if not self.is_terminal:
+            self.width = width
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=plain(segment.text))
+
+
 class TableConsole(WordsConsole):
     """A console for which a closed pipe, as of `| head -1`, is no failure.
 
@@ -129,7 +160,7 @@ class TableConsole(WordsConsole):
 
 
 def open_console(
-    args: argparse.Namespace, *, width: int = 118, wanted: bool = False
+    args: argparse.Namespace, *, width: int = _WIDTH, wanted: bool = False
 ) -> TableConsole:
     """The console of a bench with the options `args`, of which `report` and `plot` name files.
 
@@ -159,5 +190,5 @@ def end_report(report: SessionReport, path: Path | None, *, quiet: bool) -> int:
         say_failures(report.failures)
     else:
         with output_that_may_fail():
-            print_summary(report)
+            print_summary(report, WordsConsole())
     return 1 if report.failures or not saved else 0

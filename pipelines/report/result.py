@@ -4,43 +4,19 @@ Tables and lines fit the terminal: columns and parts are left out, never shorten
 """
 
 import math
-import sys
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import IO, Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
-from rich.console import Console, ConsoleOptions, RenderableType
-from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
 from pipelines.report.model import to_builtins
-from pipelines.session.command_process import OwnOutput, plain
 from pipelines.session.figures import Report
 
 #: What stands between two parts of a line.
 _GAP = "   "
-#: The width in characters when the output is no terminal; wider than 80, also in a log.
-_WIDTH = 118
-
-
-class WordsConsole(Console):
-    """A console that shows control characters in what it prints, instead of obeying them.
-
-    width: where the output is no terminal. output: default: standard output.
-    """
-
-    def __init__(self, *, width: int = _WIDTH, output: Any = None) -> None:
-        super().__init__(file=cast(IO[str], OwnOutput(output or sys.stdout)))
-        if not self.is_terminal:
-            self.width = width
-
-    def render(
-        self, renderable: RenderableType, options: ConsoleOptions | None = None
-    ) -> Iterator[Segment]:
-        for segment in super().render(renderable, options):
-            yield segment if segment.control else segment._replace(text=plain(segment.text))
 
 
 def fitted_table(

@@ -10,7 +10,7 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_MS
 from pipelines.report import model
 from pipelines.report.link_report import end_line, ledger_line, peer_lines
-from pipelines.report.result import WordsConsole, fitted_line, fitted_table
+from pipelines.report.result import fitted_line, fitted_table
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
 from pipelines.session.task_journal import TaskRow
@@ -40,9 +40,8 @@ def task_line(run: TaskRow) -> str:
     return f"task {run.name}, run {run.run}: {run.result.replace('_', ' ')}{took}{why}"
 
 
-def print_summary(report: model.SessionReport) -> None:
-    """The streams, the senses and the cost, on standard output."""
-    console = WordsConsole()
+def print_summary(report: model.SessionReport, console: Console) -> None:
+    """The streams, the senses and the cost."""
     console.print(Text(first_line(report, console.width), "bold"))
     console.print(streams_table(report, console.width))
     for direction, link in report.link.items():

@@ -6,7 +6,7 @@ import sys
 import pytest
 from rich.table import Table
 
-from pipelines.report.result import WordsConsole
+from pipelines.report.report_file import WordsConsole
 from pipelines.session.command_process import OwnOutput, prepare_output
 
 #: ESC, CSI of eight bits, BEL, carriage return, delete, and a turn of the direction.
