@@ -189,7 +189,8 @@ class Ends:
     def judge(self):
         """The robot may move only by a press that came after the newest interruption."""
         now_ms, robot = self.now_ms, self.ground.robot
-        if now_ms - self.given_ms <= OLD_MS:
+        # A robot that is stopped cannot come to rest.
+        if now_ms - self.given_ms <= OLD_MS or now_ms < self.stopped_until["robot"]:
             self.young_ms = now_ms
         if now_ms - self.born_ms < SETTLES_MS or now_ms < self.stopped_until["robot"]:
             return
