@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from kontur_av.errors import ConfigError
+from kontur_av.returned import PartError
 
 _NAMED = re.compile(r"(?P<module>[^\W\d][\w.]*):(?P<name>[^\W\d]\w*)(:(?P<argument>.*))?")
 
@@ -117,8 +118,8 @@ def _taken(made: Any, offers: Mapping[str, object]) -> dict[str, object]:
     }
 
 
-def _refused(spec: str, error: Exception) -> ConfigError:
-    return ConfigError(f"{spec!r} cannot be made: {error_words(error)}")
+def _refused(spec: str, error: Exception) -> PartError:
+    return PartError(f"{spec!r} cannot be made: {error_words(error)}")
 
 
 def _registered(name: str, group: str) -> bool:

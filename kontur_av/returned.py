@@ -61,7 +61,7 @@ def _shown(value: object) -> str:
         return f"a {type(value).__name__}"
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A scalar of numpy, or an array of one number, as Python has it."""
     item = getattr(value, "item", None)
     return value if item is None else item()
@@ -72,7 +72,7 @@ def _float(value: Any) -> float:
         return value
     try:
         if not isinstance(value, str | bytes | bytearray):
-            return float(_plain(value))
+            return float(plain(value))
     except Exception:
         pass
     raise _UnfitError(f"{_shown(value)}: give a number")
@@ -80,17 +80,18 @@ def _float(value: Any) -> float:
 
 def _int(value: Any) -> int:
     try:
-        plain = _plain(value)
-        return int(plain) if isinstance(plain, float) and plain.is_integer() else index(plain)
+        number = plain(value)
+        whole = isinstance(number, float) and number.is_integer()
+        return int(number) if whole else index(number)
     except Exception:
         raise _UnfitError(f"{_shown(value)}: give a whole number") from None
 
 
 def _bool(value: Any) -> bool:
     try:
-        plain = _plain(value)
-        if isinstance(plain, bool | int | float):
-            return bool(plain)
+        flag = plain(value)
+        if isinstance(flag, bool | int | float):
+            return bool(flag)
     except Exception:
         pass
     raise _UnfitError(f"{_shown(value)}: give True or False")
@@ -123,7 +124,15 @@ def _converter(kind: Any) -> _Convert:
         return _record(kind)
     if is_dataclass(kind):
         return _facts(kind)
+    if isinstance(origin, type):
+        return lambda value: _instance(value, origin)
     return lambda value: value
+
+
+def _instance(value: Any, kind: type) -> Any:
+    if not isinstance(value, kind):
+        raise _UnfitError(f"{_shown(value)}: give a {kind.__name__}")
+    return value
 
 
 def _items(value: Any, wanted: str) -> list[Any]:

@@ -16,7 +16,7 @@ from typing import Literal
 
 from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError
-from kontur_av.media import check_size
+from kontur_av.media import AudioFrame, CaptureStamp, check_size
 from kontur_av.parts import PartDoor, find_part, make_part, names_part
 from kontur_av.sources.source import (
     FILLED_BY_OTHERS,
@@ -27,6 +27,7 @@ from kontur_av.sources.source import (
     VideoSceneFactory,
     VideoSource,
 )
+from kontur_av.sources.user import UserSource
 
 _SCENE, _FILE = "scene", "file"
 #: The package's own clip of two seconds, where there is no such file.
@@ -85,7 +86,7 @@ def open_video(
         return (scenes or {})[scene](name, width, height, fps, clock)
     spec = _with_kind(spec, _VIDEO)
     pictures: VideoSource = make_part(spec, _VIDEO, name, width, height, fps, clock)
-    return pictures
+    return UserSource(pictures, CaptureStamp, name, clock, spec) if _is_own(spec) else pictures
 
 
 def open_audio(
@@ -94,8 +95,14 @@ def open_audio(
     """Open the sound that `spec` names. Arguments and errors are those of `open_video`."""
     if (scene := _scene(spec, scenes or {})) is not None:
         return (scenes or {})[scene](name, clock)
-    sound: AudioSource = make_part(_with_kind(spec, _AUDIO), _AUDIO, name, clock)
-    return sound
+    spec = _with_kind(spec, _AUDIO)
+    sound: AudioSource = make_part(spec, _AUDIO, name, clock)
+    return UserSource(sound, AudioFrame, name, clock, spec) if _is_own(spec) else sound
+
+
+def _is_own(spec: str) -> bool:
+    """Whether `spec`, with the name of its kind, names a user's own class."""
+    return spec.partition(":")[0] not in {*_VIDEO.built_in, *_AUDIO.built_in}
 
 
 def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str] = ()) -> None:

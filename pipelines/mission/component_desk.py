@@ -2,10 +2,12 @@
 
 from collections import deque
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ConfigError
 from kontur_av.parts import error_words
+from kontur_av.returned import PartError, fault_of, plain, taken
 from pipelines.mission.figures import ComponentFigures
 from pipelines.mission.tmtc_messages import (
     CommandUpdate,
@@ -30,7 +32,7 @@ from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.user import EventReport
 from telepresence.tmtc.pus.values import Value
 from telepresence.tmtc.retransmission import Retransmission
-from telepresence.tmtc.telemetry_source import FunctionCall, TelemetrySource
+from telepresence.tmtc.telemetry_source import FunctionCall, TelemetryReading, TelemetrySource
 
 #: How often the component is read.
 READ_NS = 500 * NS_PER_MS
@@ -61,7 +63,7 @@ class ComponentDesk:
     dropped. At most 8 events or calls come at once, then one a second; the others are dropped.
 
     client: names this life of the component. settings: of writable parameters, from earlier lives.
-    Raises what the component's `read` and `set` raise.
+    Raises ConfigError if `read` or `set` does, PartError for all else that they raise or return.
     """
 
     def __init__(
@@ -154,13 +156,13 @@ class ComponentDesk:
         )
 
     def _read(self, now_ns: int) -> None:
-        reading = self._source.read()
+        reading = taken(TelemetryReading, self._own("read"), f"{self._table.name}: read()")
         values: Values = {}
         for name, value in {**self.settings, **reading.values}.items():
             try:
                 parameter = self._table.parameter(name)
                 # As others will read it: a plain number, in the steps that it has on the wire.
-                values[name] = parameter.unpack(parameter.pack(value))
+                values[name] = parameter.unpack(parameter.pack(plain(value)))
             except KeyError:
                 self._fault(f"{self._table.name} has no parameter {name!r}", now_ns)
             except Exception as error:
@@ -195,8 +197,16 @@ class ComponentDesk:
         self._put(FunctionDone(self._table.name, asked.token, refusal), now_ns)
 
     def _set(self, name: str, value: Value) -> None:
-        self._source.set(name, value)
+        self._own("set", name, value)
         self.settings = {**self.settings, name: value}
+
+    def _own(self, call: str, *arguments: Value) -> Any:
+        try:
+            return getattr(self._source, call)(*arguments)
+        except ConfigError:
+            raise
+        except Exception as error:
+            raise PartError(f"{self._table.name}: {fault_of(f'{call}()', error)}") from error
 
     def _hear(self, news: Reported, now_ns: int) -> None:
         if news.application == self._table.name:

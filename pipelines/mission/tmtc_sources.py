@@ -18,6 +18,7 @@ from pipelines.session.mission_messages import RobotCommand, RobotStatus
 from telepresence.haptics.device.functional_test import Outcome
 from telepresence.haptics.device.states import REQUESTS, JoystickState
 from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.robot_control import Fault
 from telepresence.world import WorldState
 
 #: How often parameters are taken over, and their limits checked.
@@ -34,6 +35,8 @@ _OFF_NOMINAL = (
 _MOST_ASKED = 16
 #: The dictionary has parameters for this many.
 MOST_JOINTS = 7
+#: The size of the parameter `error` of the robot.
+_ERROR_CHARACTERS = 64
 
 
 class GatewaySource:
@@ -122,7 +125,7 @@ class RobotSource:
         values: Values = {
             "powered": status.powered,
             "mode": status.mode,
-            "error": status.error,
+            "error": _error(status),
             "hold": status.hold or "none",
             "partner": status.partner,
             "offset_x": status.offset_mm[0],
@@ -147,6 +150,12 @@ def _joints(status: RobotStatus) -> Values:
         values[f"joint_{number}_angle"] = angle_rad
         values[f"joint_{number}_torque"] = torque_n_m
     return values
+
+
+def _error(status: RobotStatus) -> str:
+    """The limit that was broken; of another fault the robot's own words, as far as they fit."""
+    words = status.fault.encode("ascii", "replace").decode()[:_ERROR_CHARACTERS]
+    return words if status.error == Fault.OTHER and words else status.error
 
 
 class JoystickSource:

@@ -274,6 +274,7 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
     robot = collector.process(ROBOT).find(RobotFigures)
     if robot is not None and robot.error:
         found.append(f"robot: {robot.error}")
+    found += [str(one) for one in silence.silences(collector) if one.own and one.fault]
     taken = {stream.name for stream in setup.streams if silence.taken_by_page(stream, collector)}
     if topology.alone is None:
         found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)

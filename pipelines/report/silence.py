@@ -28,7 +28,7 @@ class Silence:
     """An input that delivers nothing.
 
     process: of the input. fault: the last one of its source. waits: it has no source but browser
-    pages, and none gives it anything: nothing is wrong.
+    pages, and none gives it anything: nothing is wrong. own: of a file or a user's class.
     """
 
     process: str
@@ -36,6 +36,7 @@ class Silence:
     silent_ns: int
     fault: str
     waits: bool = False
+    own: bool = False
 
     def __str__(self) -> str:
         line = f"{self.process}: no {self.sense} for {self.silent_ns / NS_PER_S:.0f} s"
@@ -55,7 +56,8 @@ def silences(collector: Collector, now_ns: int | None = None) -> list[Silence]:
             waits = setup.source(name) in FILLED_BY_OTHERS
             fault = "no page gives it" if waits else figures.capture.source_fault or ""
             sense = "picture" if video else "sound"
-            found.append(Silence(process, sense, silent_ns, fault, waits))
+            own = fault.startswith(f"{setup.source(name)}: ")
+            found.append(Silence(process, sense, silent_ns, fault, waits, own))
     return found
 
 

@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,6 +60,8 @@ class Context:
     pages: Mapping[str, PageListener] = field(default_factory=dict)
     takes_power: bool = False
     _fill: list[Callable[[], None]] = field(default_factory=list)
+    #: What /proc calls the session's own files and sockets.
+    _own: set[str] = field(default_factory=set)
 
     @property
     def setup(self) -> Setup:
@@ -80,11 +83,12 @@ class Context:
 
     def listen(self, port: int) -> socket.socket:
         """Open a UDP socket on loopback that never blocks, for datagrams of any sender."""
-        return datagrams.listen((datagrams.LOOPBACK, port))
+        return self._owned(datagrams.listen((datagrams.LOOPBACK, port)))
 
     def listen_media(self, port: int) -> socket.socket:
         """Open a UDP socket for datagrams of the session's own gateway; see `OWN_SENDERS`."""
-        return datagrams.listen_to((datagrams.LOOPBACK, port), (datagrams.OWN_SENDERS, port))
+        addresses = (datagrams.LOOPBACK, port), (datagrams.OWN_SENDERS, port)
+        return self._owned(datagrams.listen_to(*addresses))
 
     def sender(self, port: int) -> Callable[[bytes], None]:
         """Return a function that sends one datagram to `port` on loopback, from `OWN_SENDERS`.
@@ -95,11 +99,25 @@ class Context:
 
     def listen_own(self, port: int) -> socket.socket:
         """Open the session's own socket in the place of `port`, which its user alone reaches."""
-        return datagrams.listen_own(self.session, port)
+        return self._owned(datagrams.listen_own(self.session, port))
 
     def own_sender(self, port: int) -> Callable[[bytes], None]:
         """Return a function that sends one datagram to the session's own socket for `port`."""
         return datagrams.OwnOutlet(self.session, port).send
+
+    def _owned(self, udp: socket.socket) -> socket.socket:
+        self._own.add(_open_files()[udp.fileno()])
+        return udp
+
+    def own_open_files(self) -> None:
+        """All open files are the session's: a process that a user's driver forks closes them."""
+        self._own |= {target for fd, target in _open_files().items() if fd > 2}
+        os.register_at_fork(after_in_child=self._leave)
+
+    def _leave(self) -> None:
+        for fd, target in _open_files().items():
+            if fd > 2 and target in self._own and target != os.devnull:
+                os.close(fd)
 
     def on_flush(self, fill: Callable[[], None]) -> None:
         """Call `fill` before each flush, to put counters and gauges into the probe."""
@@ -143,6 +161,15 @@ class Context:
             return None
 
 
+def _open_files() -> dict[int, str]:
+    found = {}
+    for file in Path("/proc/self/fd").iterdir():
+        # The directory itself is closed again.
+        with suppress(OSError):
+            found[int(file.name)] = os.readlink(file)  # noqa: PTH115, as text
+    return found
+
+
 def become(row: ProcessRow, context: Context) -> None:
     """Set the name, priority and signal handlers of a freshly forked process."""
     # Ctrl-C and the end of the terminal reach every process, but only the launcher handles them.
@@ -151,6 +178,7 @@ def become(row: ProcessRow, context: Context) -> None:
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
     libc = ctypes.CDLL(None, use_errno=True)
     prctl = libc.prctl
+    context.own_open_files()
     # When the launcher is killed, its processes end, too.
     prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])

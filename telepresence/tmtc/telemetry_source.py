@@ -107,7 +107,8 @@ class TelemetrySource:
     It is made before the session starts, for its tables alone, and again in a process of its own
     beside the robot. There its methods may block. Meanwhile its values grow old: after 5 s they
     are reported no more. An exception of `read` or `set` ends that process, which begins anew with
-    `configure`. Those of `call` and `handle_event` are counted.
+    `configure`. After three in a row it is given up, but for a ConfigError. Those of `call` and
+    `handle_event` are counted.
 
     name: of its application; letters, digits and underscores, at most 32. text: what it is.
     """

@@ -25,6 +25,9 @@ def good(context, until=lambda: False):
         context.tick(context.clock.now_ns())
         context.clock.sleep_until_ns(context.clock.now_ns() + 10_000_000)
 
+def open_files():
+    return {int(name) for name in os.listdir("/proc/self/fd")}
+
 def no_figures(context):
     def fill():
         raise RuntimeError("no figures")
@@ -45,6 +48,13 @@ def hangs(context):
 def hangs_with_power_for_ever(context):
     hangs(context)
     raise PartError("power_off() failed")
+
+def forks(context):
+    ours, mine = context.listen(0), socket.socket()
+    if os.fork() == 0:
+        held = [one.fileno() for one in (ours, mine, context.link) if one.fileno() in open_files()]
+        os._exit(held != [mine.fileno()])
+    raise ValueError(f"its child ended with {os.wait()[1]}")
 
 def cannot_be_used(context):
     raise PartError("read() failed")
@@ -88,7 +98,7 @@ class Listener(Collector):
             if self.ends == FALLS[bad]:
                 os.kill(os.getpid(), signal.SIGTERM)
 
-FALLS = {"no_figures": 2, "falls_without_figures": 2, "real_time_signal": 2, "hangs": 2,
+FALLS = {"no_figures": 2, "falls_without_figures": 2, "real_time_signal": 2, "hangs": 2, "forks": 2,
     "cannot_be_used": 4}
 tries = []
 
@@ -158,6 +168,8 @@ def run(bad, seconds=0.5, gone="", fill=0, hangup=signal.SIG_DFL):
         ("no_figures", "RuntimeError: no figures"),
         ("falls_without_figures", "ValueError: fallen"),
         ("real_time_signal", "ended by signal 40"),
+        # A child that a user's driver forks keeps none of the session's sockets.
+        ("forks", "ValueError: its child ended with 0"),
     ],
 )
 def test_a_failing_process_affects_no_other(bad, says):

@@ -1,8 +1,11 @@
 """A user's component: telecommands reach it, what it says is reported, and nothing storms."""
 
+import numpy as np
 import pytest
 from battery import Mission, recharges
 
+from kontur_av.errors import ConfigError
+from kontur_av.returned import PartError
 from pipelines.mission.tmtc_messages import Reported
 from telepresence.tmtc.telemetry_source import FunctionCall, TelemetryReading
 
@@ -169,3 +172,33 @@ def test_events_wait_for_an_end_that_is_started_again_and_a_late_action_is_given
     mission.taken = True
     mission.run(2)
     assert (mission.battery.calls, mission.figures().actions_failed) == ([], 1)
+
+
+@pytest.mark.parametrize(
+    ("returned", "said"),
+    [
+        (OSError("E3: no bus"), "battery: read() failed: OSError: E3: no bus"),
+        (ConfigError("no bus: plug it in"), "no bus: plug it in"),
+        (None, "battery: read() returned None: give a TelemetryReading"),
+        (TelemetryReading(7), "battery: read() returned values = 7: give a Mapping"),
+    ],
+)
+def test_a_reading_that_cannot_be_is_one_line_with_its_name_and_the_mend(mission, returned, said):
+    def read():
+        if isinstance(returned, Exception):
+            raise returned
+        return returned
+
+    mission.battery.read = read
+    with pytest.raises(ConfigError) as refused:
+        mission.run(1)
+    assert str(refused.value) == said
+    # What its own ConfigError says may pass; all else is to be mended.
+    assert isinstance(refused.value, PartError) is not isinstance(returned, ConfigError)
+
+
+def test_values_may_be_those_of_numpy_and_a_reading_a_plain_tuple(mission):
+    mission.battery.read = lambda: ({"voltage": np.array([12.25]), "limit": np.int64(20)},)
+    mission.run(2)
+    assert reported(mission, "housekeeping")[0].values == {"voltage": 12.25, "limit": 20}
+    assert mission.figures().faults == 0

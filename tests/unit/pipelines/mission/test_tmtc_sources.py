@@ -215,7 +215,12 @@ def test_the_robot_answers_its_functions_and_a_fault_is_an_event(ground, robot):
     robot.handle_status(answer, space.now_ns)
     (done,) = ended(space.news())
     assert (done.ok, done.reason) == (False, "it is on")
-    for _ in range(2):
-        robot.handle_status(robot_status(powered=False, error="force", faults=1), space.now_ns)
-    (event,) = reports(space.news())
-    assert (event.name, event.values) == ("error", {"error": "force"})
+    said = "E217: захват " + 64 * "!"
+    for number, (error, fault, told) in enumerate(
+        (("force", "force above 28 N", "force"), ("other", said, "E217: ?????? " + 51 * "!")), 1
+    ):
+        told_status = robot_status(powered=False, error=error, fault=fault, faults=number)
+        for _ in range(2):
+            robot.handle_status(told_status, space.now_ns)
+        (event,) = reports(space.news())
+        assert (event.name, event.values) == ("error", {"error": told})

@@ -267,6 +267,11 @@ def test_an_input_that_stopped_or_never_began_is_named():
     assert silences(collector, 10 * NS_PER_S)[0].silent_ns == 7 * NS_PER_S
     report = report_of(collector, 8.0, ["camera_left"])
     assert report.processes["camera_left"].silent_s == 5.0
+    assert not any("camera_left" in one for one in report.failures)
+    # A fault of a file, or of a user's class, begins with what names it.
+    own = CaptureFigures(source_fault=f"{collector.setup.source('left')}: E17: lens cap")
+    collector.handle_message("camera_left", message(own), 8 * NS_PER_S)
+    assert str(silences(collector)[0]) in report_of(collector, 8.0, ["camera_left"]).failures
     # While pictures come there is no silence.
     assert silences(run_on(told(), shown_s=8, captured_s=8)) == []
     never = told()
