@@ -52,7 +52,8 @@ class Program:
 
     def start(self, folder: Path) -> bool:
         self.stop()
-        self._status.unlink(missing_ok=True)
+        with suppress(OSError):
+            self._status.unlink()
         self._seen = None
         try:
             self._process = subprocess.Popen(
@@ -94,7 +95,9 @@ class Program:
     def news(self) -> bytes | None:
         """What the program has told since the last call; None if it has told nothing."""
         try:
-            with self._status.open("rb") as file:
+            # Do not block: the program may have made a FIFO of it.
+            flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
+            with os.fdopen(os.open(self._status, flags), "rb") as file:
                 state = os.fstat(file.fileno())
                 told = state.st_ino, state.st_mtime_ns
                 octets = file.read(_LARGEST_STATUS)

@@ -4,11 +4,12 @@ import json
 import os
 import socket
 import tarfile
+from unittest.mock import MagicMock
 
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import DiskStore, InboxFolder
+from pipelines.upkeep.desk import DiskStore, InboxFolder, Program
 from telepresence.link.protection.identity import MachineKey
 from telepresence.upkeep.app_loader import BootDevice, Copy, copy_to_backup, note_worked
 from telepresence.upkeep.file_store import StoredFile, read_folder
@@ -165,3 +166,13 @@ def test_whatever_a_program_writes_into_its_folder_a_version_and_a_copy_stay_who
         versions.check("v")
     versions.forget("v")
     assert not (tmp_path / "v").exists()
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, bound, lambda path: path.symlink_to(path)])
+def test_whatever_a_program_makes_of_its_status_the_keeper_goes_on(tmp_path, monkeypatch, make):
+    monkeypatch.chdir(tmp_path)
+    program = Program(tmp_path / ".status", ())
+    make(tmp_path / ".status")
+    assert not program.news()
+    monkeypatch.setattr("subprocess.Popen", MagicMock(side_effect=OSError))
+    assert not program.start(tmp_path)
