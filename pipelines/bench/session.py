@@ -29,6 +29,8 @@ def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = Non
         environment |= {"PYTHONPATH": str(tree), "PYTHONSAFEPATH": "1"}
     with ended_alike(), TemporaryDirectory() as name:
         directory = Path(name)
+        # No stop of the user's robot holds it.
+        environment["XDG_STATE_HOME"] = name
         report_file, errors = directory / "report.json", directory / "errors"
         command = [sys.executable, "-m", "pipelines.cli", *words, "-q"]
         command += ["--seconds", f"{seconds:g}", "--report", str(report_file)]

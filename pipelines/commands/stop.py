@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from pipelines.hand.safety_ends import await_stopped
 
     silent = [(one, words) for one in stopped if (words := await_stopped(one, ordered_ns))]
-    unkept = [(one, words) for one in stopped if (words := KeptOrders(one).settle())]
+    unkept = [(one, words) for one in stopped if (words := KeptOrders(one).settle(wait=True))]
     for session, words in (*silent, *unkept):
         print(f"{session}: {words}", file=sys.stderr)
     if failed is not None:

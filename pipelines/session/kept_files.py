@@ -188,10 +188,8 @@ class KeptOrders:
                 os.utime(self._here.path)
         else:
             self._here.order(by)
-        # What acts comes first. The launcher tries again, and says if it cannot be kept.
-        with suppress(OSError):
-            if self._latch is not None and not self._latch.there:
-                self._latch.order(self.stopped_by)
+        # After what acts. The launcher tries it again, and says if it cannot be kept.
+        self.settle()
 
     @property
     def released_by(self) -> str:
@@ -204,18 +202,18 @@ class KeptOrders:
             if self._latch is not None:
                 self._latch.release()
 
-    def settle(self) -> str:
-        """Have a stop outlive a loss of power, too; return why it does not, or "".
+    def settle(self, *, wait: bool = False) -> str:
+        """Have a stop outlive the session; return why it does not, or "".
 
-        It may wait for the disk.
+        wait: until a loss of power leaves it, too.
         """
         try:
             if self._latch is not None and self.stopped:
                 if not self._latch.there:
                     self._latch.order(self.stopped_by)
-                with self._latch.path.open("rb") as file:
-                    # Of a renamed file the name goes to the disk, too.
-                    os.fsync(file.fileno())
+                if wait:
+                    with self._latch.path.open("rb") as file:
+                        os.fsync(file.fileno())
         except OSError as error:
             return _forgotten(error)
         return ""

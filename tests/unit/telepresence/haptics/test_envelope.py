@@ -249,11 +249,8 @@ def test_s6_the_robot_knows_who_stopped_it_who_released_it_and_when():
     ]
     again = SafetyEnvelope(stopped=True)
     again.handle_stop(5, "the cosmonaut")
-    assert (again.stopped_by, again.report().events[0].at_ns, again.stops) == (
-        "the cosmonaut",
-        5,
-        0,
-    )
+    assert (again.stopped_by, again.stops) == ("the cosmonaut", 0)
+    assert again.report().events[0].at_ns == 5
 
 
 @pytest.mark.rule("S7")
