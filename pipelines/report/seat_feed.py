@@ -78,6 +78,7 @@ def processes_now(launcher: Launcher) -> list[ProcessNow]:
                 restarts=child.restarts,
                 error=child.last_error,
                 wanted=not child.stopped,
+                ended=launcher.ended_ns > 0,
             ),
         )
         for child in launcher.children

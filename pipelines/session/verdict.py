@@ -108,15 +108,17 @@ class ProcessHealth:
         done = f"; its power could not be taken: {error}: take it there" if error else _TAKEN
         self._failed = self._failed.replace(_TAKING, done)
 
-    def trouble(self, at_ns: int, *, restarts: int, error: str, wanted: bool) -> str:
+    def trouble(
+        self, at_ns: int, *, restarts: int, error: str, wanted: bool, ended: bool = False
+    ) -> str:
         """Return what is wrong with it, in words; "" if nothing.
 
         restarts, error: how often it was started again, and why its newest life that failed ended.
-        wanted: it is to run.
+        wanted: it is to run. ended: the session is over, and a life that hung was asked to end.
         """
         if self._failed or not wanted:
             return self._failed
-        if self.hangs(at_ns):
+        if self.hangs(at_ns) and not (ended and at_ns - self._since_ns < self._fails_ns):
             return _HANGS
         if not self._told and at_ns - self._since_ns >= _COMES_UP_NS:
             late = f"it has not come up in {_COMES_UP_NS // NS_PER_S} s"

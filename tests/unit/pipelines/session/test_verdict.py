@@ -102,6 +102,14 @@ def test_a_machine_that_stalls_for_seconds_is_no_hung_process(dead):
         assert Session(seed, stalls=stalls, dead=dead).said == {}
 
 
+def test_one_that_hung_shortly_and_ends_when_asked_has_not_failed():
+    health = ProcessHealth()
+    health.handle_report(NS_PER_S)
+    for at_s, ended, hangs in ((3, False, True), (3, True, False), (7, True, True)):
+        facts = {"restarts": 0, "error": "", "wanted": True, "ended": ended}
+        assert bool(health.trouble(at_s * NS_PER_S, **facts)) is hangs, (at_s, ended)
+
+
 def test_one_that_was_killed_twice_is_late_or_is_not_to_run_has_not_failed():
     health, facts = ProcessHealth(idle=True), {"restarts": 2, "error": "ended by SIGSEGV"}
     for at_s, report in ((0.5, True), (15.4, False), (15.4, True), (25.0, False)):
