@@ -120,7 +120,8 @@ class SoundLine:
 
     def _step(self, packet: RtpReceived, late: int, *, stalled: bool) -> None:
         step = self._passed(packet) - late
-        if self._stamp is None or step <= 0 or (abs(late) > _SOUND_TICKS and not stalled):
+        short = step <= self._samples * 3 // 4
+        if self._stamp is None or short or (abs(late) > _SOUND_TICKS and not stalled):
             step = max(self._passed(packet), self._samples) if self._samples else 0
         self._ticks, self._stamp = self._ticks + step, packet.timestamp
         self._due_ns += step * NS_PER_S // AUDIO_CLOCK_HZ
