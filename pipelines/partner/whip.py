@@ -8,6 +8,7 @@ Unix sockets, which nobody else reaches.
 """
 
 import asyncio
+import ctypes
 import multiprocessing
 import signal
 import socket
@@ -293,6 +294,7 @@ class Keeper(Generic[_Peer]):
 
 
 _END_S = 3.0
+_PR_SET_PDEATHSIG = 1
 
 
 class Far:
@@ -339,7 +341,9 @@ def _endpoint(url: str) -> str:
 def _relay(
     url: str, token: str, servers: Callable[[], IceServers], end: socket.socket, who: str
 ) -> None:
-    # Ctrl-C goes to both; the loop's process ends this one.
+    # Ctrl-C goes to both; the loop's process ends this one. So does its own end: the connection of
+    # one that was killed would keep others out.
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with closing(end):
         try:

@@ -130,6 +130,9 @@ def test_one_joystick_drives_across_the_internet_until_the_owner_takes_the_robot
             )
             hand_over(session, "partner")
             second.wait_for("answers")
+    # Both were killed; nothing of them keeps another one out.
+    with Partner(session, tmp_path / "third.txt", *words) as third:
+        third.wait_for("answers")
     session.interrupt()
 
 
