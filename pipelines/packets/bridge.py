@@ -6,7 +6,6 @@ Which telecommands it may send, and which are new though their counts are known.
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
@@ -353,6 +352,8 @@ class PeerQueue:
     """
 
     DEPTH = 256
+    #: A peer that has not acknowledged all for so long is stalled.
+    STALLED_NS = 5 * NS_PER_S
 
     def __init__(self, now_ns: int = 0) -> None:
         self._packets: deque[tuple[bytes, int]] = deque()
@@ -383,21 +384,9 @@ class PeerQueue:
             self._written = 0
             self.max_age_ns = max(self.max_age_ns, now_ns - since_ns)
 
+    def rank(self, now_ns: int) -> tuple[bool, int, int]:
+        """Of too many peers the least ends for a new one; of equals the oldest.
 
-_Peer = TypeVar("_Peer")
-#: A peer that has not acknowledged all for so long is stalled.
-_STALLED_NS = 5 * NS_PER_S
-
-
-def gives_way(queues: Mapping[_Peer, PeerQueue], now_ns: int) -> _Peer:
-    """Return which of too many peers ends for a new one.
-
-    One that only reads first, and may have gone; then one that is stalled; then that which sent
-    something least lately; of equals the oldest.
-    """
-
-    def rank(peer: _Peer) -> tuple[bool, int, int]:
-        queue = queues[peer]
-        return queue.sends, min(queue.taken_ns, now_ns - _STALLED_NS), queue.heard_ns
-
-    return min(queues, key=rank)
+        It may have gone: it only reads, then it is stalled, then it has been silent for longest.
+        """
+        return self.sends, min(self.taken_ns, now_ns - self.STALLED_NS), self.heard_ns

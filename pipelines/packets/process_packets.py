@@ -28,7 +28,6 @@ from pipelines.packets.bridge import (
     PacketSplitter,
     PeerQueue,
     allowed_commands,
-    gives_way,
 )
 from pipelines.session.command_process import say
 from pipelines.session.datagrams import (
@@ -282,8 +281,7 @@ class _Streams:
             while True:
                 tcp, _ = self._listener.accept()
                 if len(self._peers) == _MOST_PEERS:
-                    queues = {one: peer.queue for one, peer in self._peers.items()}
-                    self._end(gives_way(queues, now_ns))
+                    self._end(min(self._peers, key=lambda one: self._peers[one].queue.rank(now_ns)))
                 tcp.setblocking(False)
                 tcp.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._peers[tcp] = _Connection(bridge.handle_connection(), PeerQueue(now_ns))

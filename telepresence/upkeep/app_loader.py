@@ -18,15 +18,7 @@ from enum import Enum
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from telepresence.upkeep.file_store import FileStore, StoredFile, read_listed, replace_file
-from telepresence.upkeep.manifest import (
-    RUN,
-    SFV,
-    fault_of,
-    fault_of_files,
-    parse_sfv,
-    sfv_text,
-    write_copy,
-)
+from telepresence.upkeep.manifest import RUN, SFV, fault_of, fault_of_files, parse_sfv, write_copy
 
 #: The time for an application to say that it has started.
 START_NS = 30 * NS_PER_S
@@ -369,7 +361,6 @@ def check_update(store: FileStore, files: Mapping[str, StoredFile], device: Boot
     backup = PAIRS[device][1]
     if RUN not in files or not files[RUN].executable:
         raise ConfigError(f"the update has no executable file {RUN!r}, which starts it")
-    sfv_text(files)
     if SFV in files and (fault := fault_of_files(files)) is not None:
         raise ConfigError(f"the update is refused: {fault}")
     # Where neither is valid, there is nothing to lose.

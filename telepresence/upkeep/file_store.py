@@ -103,8 +103,9 @@ def fill_folder(store: FileStore, folder: str, files: Mapping[str, StoredFile], 
 
 
 def safe_path(path: str) -> bool:
-    """Whether a path from a list stays within its folder, and can stand in a line and on a disk."""
+    """Whether a path stays within its folder, and can stand in a list and on a disk."""
     parts = path.split("/")
-    if not path.isprintable() or "\\" in path or len(path.encode()) > _LONGEST_PATH:
+    odd = path[:1] == ";" or path[-1:] == " " or "\\" in path or not path.isprintable()
+    if odd or len(path.encode()) > _LONGEST_PATH:
         return False
     return not {"", ".", ".."} & {*parts} and all(len(part.encode()) < 256 for part in parts)
