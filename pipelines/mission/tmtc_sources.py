@@ -126,6 +126,7 @@ class RobotSource:
             "powered": status.powered,
             "mode": status.mode,
             "error": _error(status),
+            "error_kind": status.error,
             "hold": status.hold or "none",
             "partner": status.partner,
             "offset_x": status.offset_mm[0],

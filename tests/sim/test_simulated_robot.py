@@ -52,7 +52,7 @@ def test_power_and_mode_are_commanded_from_space_and_no_hand_leads_it_meanwhile(
     session.run(1)
     reports = [one for one in session.of(SPACE, Reported) if one.name == "controller"]
     values = reports[-1].values
-    assert (values["powered"], values["mode"], values["error"]) == (True, "position", "none")
+    assert (values["powered"], values["mode"], values["error_kind"]) == (True, "position", "none")
     assert values["hold"] == "the robot was off"
     assert call(session, 6, "power_off") == call(session, 7, "set_mode", "telepresence") == ""
     assert call(session, 8, "power_on") == ""

@@ -38,7 +38,7 @@ const APPLICATIONS = [
   application("space_gateway", "space", 10, "state"),
   application("panel", "space", 10, "mode"),
   application("ground_gateway", "ground", 10, "state"),
-  application("robot", "ground", 10, "powered", "mode", "error"),
+  application("robot", "ground", 10, "powered", "mode", "error_kind"),
   application("tasks", "ground", 10, "phase"),
 ];
 const ROWS = APPLICATIONS.flatMap(({ name, end, parameters }) => parameters.map((one) => ({ name, end, parameter: one.name })));
@@ -96,7 +96,7 @@ class World {
     const busy = this.joystick === "application" ? this.experiment : "none";
     const of = {
       space: { "joystick.state": this.joystick, "joystick.application": this.test === "running" ? "joystick test" : busy, "space_gateway.state": lost, "panel.mode": this.panel },
-      ground: { "ground_gateway.state": lost, "robot.powered": this.powered, "robot.mode": this.mode, "robot.error": error, "tasks.phase": this.phase },
+      ground: { "ground_gateway.state": lost, "robot.powered": this.powered, "robot.mode": this.mode, "robot.error_kind": error, "tasks.phase": this.phase },
     };
     return of[end];
   }

@@ -159,7 +159,7 @@ export function ownValues({ hello, state, robot, experiment, panel }) {
   if (robot !== null) {
     own["robot.powered"] = robot.powered;
     own["robot.mode"] = robot.mode;
-    own["robot.error"] = robot.error;
+    own["robot.error_kind"] = robot.error;
     own["robot.partner"] = robot.partner;
   }
   if (experiment !== null) own["tasks.phase"] = experiment.phase;

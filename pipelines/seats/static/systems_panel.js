@@ -15,7 +15,7 @@ const SYSTEMS = [
   ["Gateway in space (OBC)", "space_gateway", "state"],
   ["Gateway on the ground (OGC)", "ground_gateway", "state"],
   ["Robot", "robot", "mode"],
-  ["Robot's error", "robot", "error"],
+  ["Robot's error", "robot", "error_kind"],
   ["Partner's robot", "robot", "partner"],
   ["Panel", "panel", "mode"],
   ["Tasks", "tasks", "phase"],
