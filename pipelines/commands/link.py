@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
         cpu_s=launcher.cpu_s(),
         restarts={child.row.name: child.restarts for child in launcher.children},
         launcher_cpu_s=launcher_cpu_s(),
-        processes=processes_now(launcher),
+        processes=processes_now(launcher, most_restarts=0),
     )
     saved = save_report(args.report, report)
     screen.show_lines(summary_lines(report))

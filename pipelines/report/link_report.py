@@ -60,29 +60,13 @@ def build_link_report(
             name: process_report(collector.process(name), cpu_s[name], restarts[name])
             for name in cpu_s
         },
-        failures=[
-            *_failures(collector, ends, restarts),
-            *process_failures(one for one in processes if not one.restarts),
-        ],
-        # A restart is a failure of the link already.
+        # Silence is not a failure: the radio decides it.
+        failures=process_failures(processes),
         warnings=[
             *(warning for name in cpu_s for warning in find_loop_warnings(collector, name)),
             *find_path_warnings(collector, ends),
         ],
     )
-
-
-def _failures(
-    collector: Collector, ends: Sequence[Segment], restarts: Mapping[str, int]
-) -> list[str]:
-    """What failed in the link itself. Silence is not a failure: the radio decides it."""
-    found = []
-    for end in ends:
-        name = collector.topology.gateway(end).name
-        if restarts[name]:
-            why = collector.process(name).last_error or ""
-            found.append(f"{name}: started again {restarts[name]} times ({why})")
-    return found
 
 
 class LinkView:

@@ -65,8 +65,11 @@ _SUPERVISED_EVERY_NS = 9 * NS_PER_S // 10
 _STOPPED = "stopped by a telecommand"
 
 
-def processes_now(launcher: Launcher) -> list[ProcessNow]:
-    """The processes of `launcher`; once it has ended, as they were at the end."""
+def processes_now(launcher: Launcher, **most: int) -> list[ProcessNow]:
+    """The processes of `launcher`; once it has ended, as they were at the end.
+
+    most: `most_restarts` that a process may need.
+    """
     return [
         ProcessNow(
             name=child.row.name,
@@ -79,6 +82,7 @@ def processes_now(launcher: Launcher) -> list[ProcessNow]:
                 error=child.last_error,
                 wanted=not child.stopped,
                 ended=launcher.ended_ns > 0,
+                **most,
             ),
         )
         for child in launcher.children

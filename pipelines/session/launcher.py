@@ -87,8 +87,7 @@ class Child:
     takes_power: bool = False
     #: Whether the launcher has killed it.
     killed: bool = False
-    #: Whether its present life has reported anything, and when it last did.
-    told: bool = False
+    #: When its present life has reported last; 0 before.
     told_ns: int = 0
     #: Whether it ran when the end of the session began.
     ran: bool = False
@@ -220,7 +219,7 @@ class Launcher:
             for child in self.children:
                 kill_ns = child.policy.poll_kill()
                 if self._is_lost(child):
-                    child.health.handle_lost()
+                    child.health.handle_deaf(hung=True)
                     self._signal(child, signal.SIGKILL)
                 if kill_ns is not None and child.pid is not None:
                     if kill_ns <= now_ns:
@@ -343,7 +342,7 @@ class Launcher:
                 self.observed.handle_report(now_ns)
             child.health.handle_report(self.observed.now_ns)
             message = Message.unpack(data)
-            child.told, child.told_ns = True, now_ns
+            child.told_ns = now_ns
             child.told_error = message.last_error or child.told_error
             self.listener.handle_message(child.row.name, message, now_ns)
             for order in message.orders:
@@ -373,7 +372,7 @@ class Launcher:
         ours.setblocking(False)
         child.pid, child.link, child.stopped = pid, ours, False
         child.pidfd = os.pidfd_open(pid)
-        child.told = child.killed = False
+        child.told_ns, child.killed = 0, False
         child.policy.handle_start(self.clock.now_ns())
         child.health.handle_start(self.observed.now_ns)
         self._selector.register(ours, selectors.EVENT_READ, child)
@@ -467,7 +466,7 @@ class Launcher:
     def _await(self, child: Child) -> None:
         """Wait until a process has reported, or does not within its time."""
         until_ns = self.clock.now_ns() + session_switch.PATIENCE_NS
-        while child.pid is not None and not child.told and not self._stop:
+        while child.pid is not None and not child.told_ns and not self._stop:
             left_ns = until_ns - self.clock.now_ns()
             if left_ns <= 0:
                 return

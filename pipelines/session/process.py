@@ -60,8 +60,8 @@ class Context:
     pages: Mapping[str, PageListener] = field(default_factory=dict)
     takes_power: bool = False
     _fill: list[Callable[[], None]] = field(default_factory=list)
-    #: What /proc calls the session's own files and sockets.
-    _own: set[str] = field(default_factory=set)
+    #: Descriptors of the session.
+    _own: list[int] = field(default_factory=list)
 
     @property
     def setup(self) -> Setup:
@@ -106,17 +106,17 @@ class Context:
         return datagrams.OwnOutlet(self.session, port).send
 
     def _owned(self, udp: socket.socket) -> socket.socket:
-        self._own.add(_open_files()[udp.fileno()])
+        self._own.append(udp.fileno())
         return udp
 
     def own_open_files(self) -> None:
         """All open files are the session's: a process that a user's driver forks closes them."""
-        self._own |= {target for fd, target in _open_files().items() if fd > 2}
+        self._own += [fd for fd in range(3, 1024) if os.path.lexists(f"/proc/self/fd/{fd}")]
         os.register_at_fork(after_in_child=self._leave)
 
     def _leave(self) -> None:
-        for fd, target in _open_files().items():
-            if fd > 2 and target in self._own and target != os.devnull:
+        for fd in self._own:
+            with suppress(OSError):
                 os.close(fd)
 
     def on_flush(self, fill: Callable[[], None]) -> None:
@@ -159,15 +159,6 @@ class Context:
             return self.link.recv(MAX_FIGURES_OCTETS, socket.MSG_DONTWAIT) or None
         except OSError:
             return None
-
-
-def _open_files() -> dict[int, str]:
-    found = {}
-    for file in Path("/proc/self/fd").iterdir():
-        # The directory itself is closed again.
-        with suppress(OSError):
-            found[int(file.name)] = os.readlink(file)  # noqa: PTH115, as text
-    return found
 
 
 def become(row: ProcessRow, context: Context) -> None:

@@ -158,7 +158,7 @@ class RestartPolicy:
     one when `poll_timeout` says. `handle_wanted` keeps it from that, and allows it again; kill a
     life that has not ended at `poll_kill`.
 
-    wanted: whether it is to run.
+    wanted: whether it is to run. hopeless: no further life mends it.
     """
 
     def __init__(self, stage: Stage) -> None:
@@ -169,11 +169,7 @@ class RestartPolicy:
         self._started_ns: int | None = None
         self._due_ns: int | None = None
         self._broken = 0
-
-    @property
-    def hopeless(self) -> bool:
-        """Whether so many lives in a row soon ended with what no further life mends."""
-        return self._broken >= MOST_BROKEN
+        self.hopeless = False
 
     def handle_start(self, now_ns: int) -> None:
         self._started_ns, self._due_ns, self._kill_ns = now_ns, None, None
@@ -189,6 +185,7 @@ class RestartPolicy:
         assert self._started_ns is not None
         early = now_ns - self._started_ns < GOOD_LIFE_NS
         self._broken = self._broken + 1 if broken and early else 0
+        self.hopeless = self._broken >= MOST_BROKEN
         if not early:
             self._pause_ns = FIRST_PAUSE_NS
         self._due_ns = now_ns + max(self._pause_ns, self._rest_ns)

@@ -26,6 +26,7 @@ _MOST_RESTARTS = 2
 _TAKING, _TAKEN = "; its power is being taken", "; its power was taken by a process of its own"
 _SAYS = "; `kontur-av robot check`, `joystick check` and `doctor` say more"
 _DEAF = f"it did not end when it was asked to, and was killed{_SAYS}"
+_HUNG = f"it hung, and was killed{_SAYS}"
 _HANGS = f"it hangs: it ended no cycle for more than 1 s{_SAYS}"
 
 
@@ -79,10 +80,10 @@ class ProcessHealth:
         if error == NO_REASON:
             self._failed = f"it ended without a reason{_SAYS}"
 
-    def handle_deaf(self) -> None:
-        """It had to be killed when the session ended."""
+    def handle_deaf(self, *, hung: bool = False) -> None:
+        """It has to be killed: it does not end, or is lost (`is_lost`)."""
         if not self._idle:
-            self._failed = self._failed or _DEAF
+            self._failed = _HUNG if hung else self._failed or _DEAF
 
     def hangs(self, at_ns: int) -> bool:
         return self._told and at_ns - self._since_ns >= self._hangs_ns
@@ -93,10 +94,6 @@ class ProcessHealth:
         """
         patience_ns = self._fails_ns if self._told else _OPENS_NS
         return (unanswered and self.hangs(at_ns)) or at_ns - self._since_ns >= patience_ns
-
-    def handle_lost(self) -> None:
-        """It is killed because it hangs."""
-        self._failed = "it hung, and was killed"
 
     def handle_given_up(self, error: str, *, powered: bool) -> None:
         """It gets no further life; powered: but one that takes its power."""
@@ -109,7 +106,14 @@ class ProcessHealth:
         self._failed = self._failed.replace(_TAKING, done)
 
     def trouble(
-        self, at_ns: int, *, restarts: int, error: str, wanted: bool, ended: bool = False
+        self,
+        at_ns: int,
+        *,
+        restarts: int,
+        error: str,
+        wanted: bool,
+        ended: bool = False,
+        most_restarts: int = _MOST_RESTARTS,
     ) -> str:
         """Return what is wrong with it, in words; "" if nothing.
 
@@ -123,8 +127,8 @@ class ProcessHealth:
         if not self._told and at_ns - self._since_ns >= _COMES_UP_NS:
             late = f"it has not come up in {_COMES_UP_NS // NS_PER_S} s"
             return f"{late}{error and f': {error}'}{_SAYS}"
-        if restarts > _MOST_RESTARTS:
-            return f"it was started again more than {_MOST_RESTARTS} times: {error}{_SAYS}"
+        if restarts > most_restarts:
+            return f"it was started again more than {most_restarts} times: {error}{_SAYS}"
         return ""
 
 
