@@ -105,7 +105,7 @@ def fill_folder(store: FileStore, folder: str, files: Mapping[str, StoredFile], 
 def safe_path(path: str) -> bool:
     """Whether a path stays within its folder, and can stand in a list and on a disk."""
     parts = path.split("/")
-    odd = path[:1] == ";" or path[-1:] == " " or "\\" in path or not path.isprintable()
+    odd = path[:1] == ";" or path != path.strip() or "\\" in path or not path.isprintable()
     if odd or len(path.encode()) > _LONGEST_PATH:
         return False
     return not {"", ".", ".."} & {*parts} and all(len(part.encode()) < 256 for part in parts)

@@ -53,7 +53,7 @@ def test_an_archive_is_read_plain_and_compressed():
         gzip.compress(archive(("run", b"x")))[:-9],
         archive(("/etc/passwd", b"")),
         archive(("a/../../b", b"")),
-        *(archive((name, b"")) for name in ("a\nb", ";a", "a ")),
+        *(archive((name, b"")) for name in ("a\nb", ";a", "a ", " a")),
         archive(("a", b""), ("./a", b"")),
         archive(("a", b""), ("a/b", b"")),
         archive(("a", b""), kind=tarfile.SYMTYPE, link="/etc/passwd"),
@@ -73,7 +73,7 @@ def test_an_archive_is_read_plain_and_compressed():
         archive(("log", b""), kind=tarfile.DIRTYPE),
         b"\x1f\x8b" + bytes(5000),
     ],
-    ids=range(27),
+    ids=range(28),
 )
 def test_what_is_no_sound_archive_is_refused(octets):
     with pytest.raises(ConfigError, match="archive"):
