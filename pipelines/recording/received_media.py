@@ -74,9 +74,9 @@ class SoundLine:
     def __init__(self) -> None:
         self._waiting: list[tuple[int, RtpReceived]] = []
         self._next = 0
-        #: The newest packet's timestamp, None for none of this source; its instant and length.
+        #: Of the newest packet: timestamp, None for none of this source; instant, length, arrival.
         self._stamp: int | None = None
-        self._ticks = self._samples = self._due_ns = 0
+        self._ticks = self._samples = self._due = 0
 
     def packets(
         self, came: Iterable[RtpReceived], now_ns: int | None
@@ -105,28 +105,25 @@ class SoundLine:
             self._next = sequence + 1
             with suppress(ProtocolError):
                 samples = opus_samples(packet.payload)
-                self._step(packet, late, stalled=stalled)
-                self._samples = samples
+                passed = _arrival(packet) - self._due
+                short = passed - late <= self._samples * 3 // 4
+                leaps = abs(late) > _SOUND_TICKS and not stalled
+                if self._stamp is None or short or leaps:
+                    late = min(0, passed - self._samples) if self._samples else passed
+                self._ticks += passed - late
+                self._due += passed - late if stalled else passed
+                self._stamp, self._samples = packet.timestamp, samples
                 yield packet.payload, self._ticks, samples
-
-    def _passed(self, packet: RtpReceived) -> int:
-        return (packet.received_ns - self._due_ns) * AUDIO_CLOCK_HZ // NS_PER_S
 
     def _late(self, packet: RtpReceived) -> int:
         """By how many ticks it came later than its timestamp says."""
         if self._stamp is None:
             return 0
-        return self._passed(packet) - signed(packet.timestamp - self._stamp)
+        return _arrival(packet) - self._due - signed(packet.timestamp - self._stamp)
 
-    def _step(self, packet: RtpReceived, late: int, *, stalled: bool) -> None:
-        step = self._passed(packet) - late
-        short = step <= self._samples * 3 // 4
-        if self._stamp is None or short or (abs(late) > _SOUND_TICKS and not stalled):
-            step = max(self._passed(packet), self._samples) if self._samples else 0
-        self._ticks, self._stamp = self._ticks + step, packet.timestamp
-        self._due_ns += step * NS_PER_S // AUDIO_CLOCK_HZ
-        if not stalled:
-            self._due_ns = packet.received_ns
+
+def _arrival(packet: RtpReceived) -> int:
+    return packet.received_ns * AUDIO_CLOCK_HZ // NS_PER_S
 
 
 class PictureOutput:
