@@ -11,6 +11,7 @@ from pipelines.hand.hand_topics import ARM_STATE_OCTETS, ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
 from pipelines.hand.haptics import CYCLE_NS, RobotEnd, robot_side
 from pipelines.hand.safety_ends import follow_stop, within
+from pipelines.hand.timed_calls import take_power
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.datagrams import Outlet, OwnOutlet, receive
 from pipelines.session.kept_files import KeptOrders
@@ -44,7 +45,11 @@ def run_second_robot(context: Context) -> None:
     Nobody commands its power: it is on whenever its cause of being off is gone, and moves after a
     new press.
     """
-    robot = open_robot(context.topology.options.second_robot)
+    spec = context.topology.options.second_robot
+    if context.takes_power:
+        take_power(spec)
+        return
+    robot = open_robot(spec)
     with closing(robot), context.open_bus() as bus:
         publish = state_publisher(bus, SECOND_ROBOT_TOPIC)
         limits = within(context.setup.safety, robot.facts)

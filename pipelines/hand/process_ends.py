@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import fields
 
-from kontur_av.returned import PartError, fault_of
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.desks import JoystickStatusTeller, RobotDesk
 from pipelines.hand.hand_topics import (
@@ -34,7 +33,7 @@ from pipelines.hand.safety_ends import (
     watch_camera,
     within,
 )
-from pipelines.hand.timed_calls import timed
+from pipelines.hand.timed_calls import take_power
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
 from pipelines.session.process import Context
@@ -75,7 +74,7 @@ from telepresence.haptics.figures import HandInputFigures
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
-from telepresence.haptics.specs import load_robot, open_device, open_robot
+from telepresence.haptics.specs import open_device, open_robot
 from telepresence.haptics.udp_devices import UdpJoystick, UdpRobot
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut, Skill
 from telepresence.tasks.definitions import ControlMode
@@ -187,7 +186,7 @@ def run_robot(context: Context) -> None:
     In a session with tasks it is off until the kernel or a person switches it on.
     """
     if context.takes_power:
-        _take_power(context)
+        take_power(context.topology.options.robot, context.setup.more_axes)
         return
     robot = open_robot(context.topology.options.robot, context.setup.more_axes)
     with closing(robot), context.open_bus() as bus:
@@ -266,22 +265,6 @@ def run_robot(context: Context) -> None:
             seldom=seldom,
             route=route,
         )
-
-
-def _take_power(context: Context) -> None:
-    """Raises PartError if the robot may still have power."""
-    device = load_robot(context.topology.options.robot, context.setup.more_axes)
-    anew = ("configure", "deactivate", "power_off")
-    wrong = []
-    with timed(device) as calls:
-        for name in ("emergency_off",) if hasattr(device, "emergency_off") else anew:
-            try:
-                getattr(calls, name)()
-            except Exception as error:
-                # One that does not brake may still lose its power.
-                wrong += [fault_of(f"{name}()", error)] * (name != "deactivate")
-    if wrong:
-        raise PartError("; ".join(wrong))
 
 
 def run_joystick(context: Context, *, skill: float | None = None) -> None:

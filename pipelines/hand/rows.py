@@ -86,6 +86,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.LINK,
             run="pipelines.hand.partner_arm:run_second_robot",
+            powered=not is_simulated(options.second_robot),
             stoppable=False,
             priority=LOOP_PRIORITY,
             writes=(SECOND_ROBOT_TOPIC,),

@@ -3,15 +3,17 @@
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from threading import Thread
 from time import monotonic, sleep
 from types import FrameType
 from typing import Any
 
-from kontur_av.returned import PartError
+from kontur_av.returned import PartError, fault_of
 from pipelines.session.command_process import handled
+from telepresence.haptics.axes import AxisName
+from telepresence.haptics.specs import load_robot
 
 #: A call that opens a device or gives it power may take longer.
 _MOST_S = 5.0
@@ -83,3 +85,19 @@ def timed(device: Any) -> Iterator[Any]:
     Thread(target=calls.watch, daemon=True).start()
     with handled(overdue, (signal.SIGALRM,)):
         yield calls
+
+
+def take_power(spec: str, axes: Sequence[AxisName] = ()) -> None:
+    """Take a robot's power by a driver that is built anew. PartError if it may still have some."""
+    device = load_robot(spec, axes)
+    anew = ("configure", "deactivate", "power_off")
+    wrong = []
+    with timed(device) as calls:
+        for name in ("emergency_off",) if hasattr(device, "emergency_off") else anew:
+            try:
+                getattr(calls, name)()
+            except Exception as error:
+                # One that does not brake may still lose its power.
+                wrong += [fault_of(f"{name}()", error)] * (name != "deactivate")
+    if wrong:
+        raise PartError("; ".join(wrong))

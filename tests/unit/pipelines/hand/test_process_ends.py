@@ -7,7 +7,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from kontur_av.returned import PartError
-from pipelines.hand import process_ends
+from pipelines.hand import partner_arm, process_ends, timed_calls
 from pipelines.hand.hand_topics import pack_input
 from pipelines.hand.process_ends import _hand
 from telepresence.haptics.device.page import PageDevice, PageInput
@@ -62,8 +62,12 @@ class Powered:
 def test_the_power_of_a_robot_is_taken_by_a_driver_that_is_built_anew(
     robot, calls, said, monkeypatch
 ):
-    monkeypatch.setattr(process_ends, "load_robot", lambda spec, axes: robot)
+    monkeypatch.setattr(timed_calls, "load_robot", lambda spec, axes: robot)
     context = MagicMock(takes_power=True)
     with pytest.raises(PartError) if said else nullcontext() as refused:
         process_ends.run_robot(context)
     assert robot.calls == calls and said in str(refused and refused.value)
+    robot.calls.clear()
+    with pytest.raises(PartError) if said else nullcontext():
+        partner_arm.run_second_robot(context)
+    assert robot.calls == calls
