@@ -11,9 +11,11 @@ from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
+from telepresence.haptics.envelope import Hold
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import Feedback
 from telepresence.tasks.definitions import ControlMode
+from telepresence.tasks.robot_control import Fault
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.world import WorldState
 
@@ -200,6 +202,14 @@ def test_the_dictionary_has_each_measure_of_the_functional_test_and_the_modes_of
 def robot_status(**changes):
     known = {"powered": True, "mode": ControlMode.TELEPRESENCE, "push_n": 0.0}
     return RobotStatus(life=1, x_m=0.0, y_m=0.0, **{**known, **changes})
+
+
+@pytest.mark.parametrize(
+    ("parameter", "states"), [("hold", Hold), ("mode", ControlMode), ("error_kind", Fault)]
+)
+def test_each_state_is_a_choice_of_its_parameter(parameter, states):
+    (found,) = built_in_dictionary().application("robot").named([parameter])
+    assert {str(one) or "none" for one in states} <= {"none", *found.choices}
 
 
 def test_the_robot_answers_its_functions_and_a_fault_is_an_event(ground, robot):
