@@ -339,7 +339,8 @@ class Launcher:
                 return
             now_ns = self.clock.now_ns()
             if not self._ending:
-                self.observed.handle_report(now_ns)
+                running = sum(one.pid is not None for one in self.children)
+                self.observed.handle_report(now_ns, running)
             child.health.handle_report(self.observed.now_ns)
             message = Message.unpack(data)
             child.told_ns = now_ns

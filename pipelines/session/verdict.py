@@ -31,24 +31,33 @@ _HANGS = f"it hangs: it ended no cycle for more than 1 s{_SAYS}"
 
 
 class ObservedTime:
-    """Time in which processes reported. A launcher or a machine that stalls adds next to none."""
+    """Time in which processes reported: a period passes when each has reported once.
 
-    #: How much a report adds at most, and how much the launcher does if nobody reports.
-    _REPORT_NS, _ALONE_NS = 250 * NS_PER_MS, 100 * NS_PER_MS
+    So it passes slowly while all are late, and a launcher or a machine that stalls adds little.
+    """
+
+    #: The longest period of reports; the most that a stall adds; how much a second without reports.
+    _PERIOD_NS, _STALL_NS, _ALONE_NS = (each * NS_PER_MS for each in (600, 300, 100))
 
     def __init__(self) -> None:
-        self.now_ns = 0
+        self.now_ns = self._left_ns = 0
         self._sign_ns: int | None = None
 
-    def handle_report(self, now_ns: int, *, most_ns: int = _REPORT_NS) -> None:
-        """A process has reported."""
-        if self._sign_ns is not None:
-            self.now_ns += min(now_ns - self._sign_ns, most_ns)
-        self._sign_ns = now_ns
+    def handle_report(self, now_ns: int, running: int) -> None:
+        """One of so many running processes has reported."""
+        self._pass(now_ns, self._PERIOD_NS // max(1, running))
 
     def handle_second(self, now_ns: int) -> None:
         """The launcher itself runs; call it once a second."""
-        self.handle_report(now_ns, most_ns=self._ALONE_NS)
+        self._pass(now_ns, self._ALONE_NS)
+
+    def _pass(self, now_ns: int, most_ns: int) -> None:
+        if self._sign_ns is not None:
+            self._left_ns = min(self._left_ns + now_ns - self._sign_ns, self._STALL_NS)
+        passed_ns = min(self._left_ns, most_ns)
+        self._left_ns -= passed_ns
+        self.now_ns += passed_ns
+        self._sign_ns = now_ns
 
 
 class ProcessHealth:

@@ -32,7 +32,7 @@ COUNTS = (
     ("`dict[str, Any]` in the packages", untyped_tables, 7),
     ("modules in the root of pipelines", modules_in_the_root, 6),
     ("lines of benchmarks", lambda: lines_of_code("benchmarks"), 7000),
-    ("lines of tests", lambda: lines_of_code("tests"), 65_750),
+    ("lines of tests", lambda: lines_of_code("tests"), 67_250),
     ("lines of pipelines/bench", lambda: lines_of_code("pipelines/bench"), 3300),
     ("lines of pipelines/bench/video", lambda: lines_of_code("pipelines/bench/video"), 1300),
 )

@@ -27,10 +27,12 @@ WAYS = {
 
 
 class Session:
-    """The launcher's calls. stalls: from when to when nothing reports; dead: nor it runs itself."""
+    """The launcher's calls. stalls: from when to when nothing reports; dead: nor it runs itself.
+    late_s: a report may be so late.
+    """
 
-    def __init__(self, seed, *, victim=None, way="", from_s=0.0, stalls=(), dead=True):
-        self.random, self.observed = Random(seed), ObservedTime()
+    def __init__(self, seed, *, victim=None, way="", from_s=0.0, stalls=(), dead=True, late_s=0.1):
+        self.random, self.observed, self.late_s = Random(seed), ObservedTime(), late_s
         self.health = {
             row.name: ProcessHealth(idle=row.priority == WATCHER_PRIORITY) for row in ROWS
         }
@@ -49,7 +51,7 @@ class Session:
             self.look()
 
     def pause(self):
-        return round(self.random.uniform(0.5, 0.7) * NS_PER_S)
+        return round(self.random.uniform(0.5, 0.6 + self.late_s) * NS_PER_S)
 
     def step(self, now_ns, stalled, victim, way):
         for name, health in self.health.items():
@@ -74,7 +76,7 @@ class Session:
             return
         elif way == "starves":
             self.due_ns[name] = now_ns + 6 * NS_PER_S
-        self.observed.handle_report(now_ns)
+        self.observed.handle_report(now_ns, len(self.health))
         health.handle_report(self.observed.now_ns)
 
     def look(self):
@@ -100,6 +102,8 @@ def test_a_machine_that_stalls_for_seconds_is_no_hung_process(dead):
         begin_s = Random(seed).uniform(1.0, 8.0)
         stalls = ((begin_s, begin_s + 4.0), (begin_s + 5.0, begin_s + 8.0))
         assert Session(seed, stalls=stalls, dead=dead).said == {}
+        # On a machine that is too busy, all are late.
+        assert Session(seed, late_s=2.0).said == {}
 
 
 def test_one_that_hung_shortly_and_ends_when_asked_has_not_failed():
