@@ -84,7 +84,8 @@ def choose_session(name: str | None, running: Sequence[str], how: str = "") -> s
         called = f" {name}" if name else ""
         if users := _other_users():
             raise ConfigError(
-                f"no session{called} of yours is running here, but one of user {' and of '.join(users)}: "
+                f"no session{called} of yours is running here, "
+                f"but one of user {' and of '.join(users)}: "
                 f"give the command as that user, such as `sudo -u {users[0]} kontur-av ...`"
             )
         raise ConfigError(

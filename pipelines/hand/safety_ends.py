@@ -200,7 +200,7 @@ def await_stopped(session: str, ordered_ns: int, *, stopped: bool = True) -> str
                     return ""
             octets = joystick.latest_octets()
             held = None if octets is None else unpack_status(octets)
-            if held is not None and held.robot_stopped and stopped:
+            if status is None and held is not None and held.robot_stopped and stopped:
                 return ""
             if status is not None and waited_ns >= _HERE_NS:
                 # It is on this machine.

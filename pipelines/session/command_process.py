@@ -146,7 +146,8 @@ _SECRETS = re.compile(rb"\0--tok(?:en?)?[\0=]([^\0]+)|://[^/@\0]*:([^/@\0]+)@")
 
 def hide_secrets() -> None:
     """Overwrite secrets of this process's command line, which every user of the machine can see."""
-    with suppress(OSError):
+    # An emulated /proc may have fewer fields.
+    with suppress(OSError, IndexError):
         fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
         begin, end = int(fields[45]), int(fields[46])  # arg_start and arg_end of proc(5)
         for found in _SECRETS.finditer(ctypes.string_at(begin, end - begin)):

@@ -20,6 +20,8 @@ from telepresence.haptics.sample import Feedback
 _PLACED = (JoystickState.CALIBRATED, JoystickState.APPLICATION, JoystickState.HALTED)
 #: Shortest interval between reports that the robot was heard; silence is counted in seconds.
 _HEARD_NS = 20 * NS_PER_MS
+#: What a robot told that has been silent for longer may be so no more.
+_TRUSTED_NS = 500 * NS_PER_MS
 
 
 class OperatedHandle:
@@ -66,9 +68,10 @@ class OperatedHandle:
         """Take a fresh sample, or None: the robot was heard, or not. Light the same LED here."""
         if self._simulated is not None:
             self._simulated.handle_robot(feedback is not None, feedback is not None and feedback[8])
-        if feedback is None:
-            return
         now_ns = self._now_ns
+        if feedback is None:
+            self.robot_stopped = self.robot_stopped and now_ns < self._heard_ns + _TRUSTED_NS
+            return
         if now_ns >= self._heard_ns:
             self._heard_ns = now_ns + _HEARD_NS
             self.operation.handle_heard(now_ns)

@@ -340,6 +340,15 @@ def test_a_release_a_press_and_a_sensor_failure_are_noticed_in_the_same_cycle(se
     assert session.handle.force_limit_n == 0.0
 
 
+def test_what_a_robot_told_of_its_stop_is_not_known_once_it_is_silent(session):
+    session.robot = False
+    for stopped in (True, False):
+        session.handle.handle_feedback(QUIET._replace(stopped=stopped))
+        for seconds, told in ((0.3, stopped), (0.4, False)):
+            session.run(seconds, each=lambda: session.handle.handle_feedback(None))
+            assert session.handle.robot_stopped is told
+
+
 def test_the_robots_led_is_lit_here_and_a_device_that_is_gone_is_so_for_good(session):
     session.robot = False
     for lit, leds in ((2, 0b100), (None, 0)):
