@@ -4,6 +4,7 @@ import os
 import signal
 import time
 from dataclasses import replace
+from itertools import count
 
 import av
 import cv2
@@ -104,13 +105,15 @@ class Run:
             peer = Ros2Peer(port, early, top)
             session.wait_for_flow()
             peer.say("late", LATE, self.topics[LATE])
-            said = SendK2aci("test", 1, "Chat", {"sender": "cosmonaut", "text": "Здесь хорошо"})
+            said, numbers = {"sender": "cosmonaut", "text": "Здесь хорошо"}, count(1)
             peer.say("latched", self.setup_topic)
             with pytest.MonkeyPatch.context() as patch, session.bus(patch):
 
                 def heard():
-                    # A node that is not there yet hears nothing of a line that went.
-                    assert send_to_tmtc(session.session, Segment.SPACE, said)
+                    # A node that is not there yet hears nothing of a line that went. A request of the
+                    # same number is a repetition.
+                    line = SendK2aci("test", next(numbers), "Chat", said)
+                    send_to_tmtc(session.session, Segment.SPACE, line)
                     time.sleep(1)
                     return peer.heard("/kontur_av/chat")
 
