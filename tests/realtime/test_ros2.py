@@ -110,8 +110,8 @@ class Run:
             with pytest.MonkeyPatch.context() as patch, session.bus(patch):
 
                 def heard():
-                    # A node that is not there yet hears nothing of a line that went. A request of the
-                    # same number is a repetition.
+                    # A node that is not there yet hears nothing of a line that went.
+                    # A request with the same number is a repetition.
                     line = SendK2aci("test", next(numbers), "Chat", said)
                     send_to_tmtc(session.session, Segment.SPACE, line)
                     time.sleep(1)
