@@ -219,7 +219,7 @@ class Launcher:
             for child in self.children:
                 kill_ns = child.policy.poll_kill()
                 if self._is_lost(child):
-                    child.health.handle_deaf(hung=True)
+                    child.health.handle_killed(hung=True)
                     self._signal(child, signal.SIGKILL)
                 if kill_ns is not None and child.pid is not None:
                     if kill_ns <= now_ns:
@@ -252,7 +252,7 @@ class Launcher:
             self._signal(child, signal.SIGTERM)
 
     def _is_lost(self, child: Child) -> bool:
-        """Whether it hangs with the power of its device."""
+        """Whether it hangs while its device has power."""
         if not child.row.powered or child.takes_power or child.killed or child.pid is None:
             return False
         health, at_ns = child.health, self.observed.now_ns
@@ -261,13 +261,13 @@ class Launcher:
         return health.is_lost(at_ns, unanswered=unanswered)
 
     def _signal(self, child: Child, number: signal.Signals) -> None:
-        """Send it to a life, if there is one that does not take the power of its device."""
+        """Send a signal to the process, unless it is taking the power of its device."""
         if child.pid is not None and not self._takes_power(child):
             child.killed = number == signal.SIGKILL
             os.kill(child.pid, number)
 
     def _takes_power(self, child: Child) -> bool:
-        """Whether it takes the power of a device, and has time left for it."""
+        """Whether it is taking the power of its device, and has time left for it."""
         until_ns = child.policy.poll_kill() or 0
         return child.takes_power and child.pid is not None and self.clock.now_ns() < until_ns
 
@@ -488,7 +488,7 @@ class Launcher:
         for number in (signal.SIGTERM, signal.SIGKILL):
             for child in children:
                 if number == signal.SIGKILL and child.pid is not None and not child.takes_power:
-                    child.health.handle_deaf()
+                    child.health.handle_killed()
                 self._signal(child, number)
             left_ns = session_switch.PATIENCE_NS
             while any(self._takes_power(child) for child in children) or (

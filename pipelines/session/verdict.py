@@ -89,7 +89,7 @@ class ProcessHealth:
         if error == NO_REASON:
             self._failed = f"it ended without a reason{_SAYS}"
 
-    def handle_deaf(self, *, hung: bool = False) -> None:
+    def handle_killed(self, *, hung: bool = False) -> None:
         """It has to be killed: it does not end, or is lost (`is_lost`)."""
         if not self._idle:
             self._failed = _HUNG if hung else self._failed or _DEAF

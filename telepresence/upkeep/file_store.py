@@ -17,7 +17,7 @@ _LONGEST_PATH = 1000
 class FileStore(Protocol):
     """Files by their path, with `/` between folders. Each method returns when it is safe.
 
-    OSError of a missing file or a bad disk passes through, as of what is no plain file.
+    A missing file, a bad disk, and what is no plain file raise OSError.
     """
 
     def files(self, folder: str) -> list[str]:

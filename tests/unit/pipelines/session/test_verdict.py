@@ -47,7 +47,7 @@ class Session:
                 self.observed.handle_second(now_ns)
             self.step(now_ns, stalled, victim, way if now_ns >= from_s * NS_PER_S else "")
         if way == "is deaf":
-            self.health[victim].handle_deaf()
+            self.health[victim].handle_killed()
             self.look()
 
     def pause(self):
@@ -120,7 +120,7 @@ def test_one_that_was_killed_twice_is_late_or_is_not_to_run_has_not_failed():
         assert health.trouble(round(at_s * NS_PER_S), **facts, wanted=True) == ""
         if report:
             health.handle_report(round(at_s * NS_PER_S))
-    health.handle_deaf()
+    health.handle_killed()
     assert health.trouble(99 * NS_PER_S, **facts, wanted=False) == ""
     assert "it hangs" in health.trouble(99 * NS_PER_S, **facts, wanted=True)
     # One that hung for long has failed, even if it goes on.
