@@ -454,7 +454,7 @@ class StreamReceiver(_AsyncClosing):
         """Receive until the end, and return why it came."""
         packets, heard_ns = 0, None
         while not self.ended:
-            # Silence counts up to the last look: a stall of this process is none of the sender's.
+            # Silence counts up to the last look, so that a stall of this process does not count.
             now_ns = self._clock.now_ns()
             self._udp.exchange(receiver, self._clock, _STEP_NS)
             drain()

@@ -74,7 +74,7 @@ class SoundLine:
     def __init__(self) -> None:
         self._waiting: list[tuple[int, RtpReceived]] = []
         self._next = 0
-        #: Of the newest packet: timestamp, None for none of this source; instant, length, arrival.
+        #: Of the newest packet: timestamp, instant, length, arrival. No timestamp: a source begins.
         self._stamp: int | None = None
         self._ticks = self._samples = self._due = 0
 
