@@ -109,7 +109,7 @@ class RtpCompressor:
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
         self._forms = HeaderForms(flow, slot_ns)
-        self._life, self._refresh = LIFE_NS // slot_ns, REFRESH_NS // slot_ns
+        self._boot_id, self._refresh = LIFE_NS // slot_ns, REFRESH_NS // slot_ns
         #: References that the receiver may hold, oldest first.
         self._possible: deque[_Reference] = deque()
         #: Whole headers since the receiver was last known to hold none.
@@ -129,7 +129,7 @@ class RtpCompressor:
         header = parse_header(data)
         if header is not None:
             possible = self._possible
-            while possible and count - possible[0].count > self._life:
+            while possible and count - possible[0].count > self._boot_id:
                 possible.popleft()
             if not possible:
                 self._whole = 0
@@ -166,7 +166,7 @@ class RtpDecompressor:
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
         self._unpack = HeaderForms(flow, slot_ns).unpack
-        self._life = LIFE_NS // slot_ns
+        self._boot_id = LIFE_NS // slot_ns
         self._reference: _Reference | None = None
 
     def forget(self) -> None:
@@ -186,7 +186,7 @@ class RtpDecompressor:
         reference = self._reference
         if kind < KIND_STEADY:
             return "malformed"
-        if reference is None or count - reference.count > self._life:
+        if reference is None or count - reference.count > self._boot_id:
             return "no_context"
         header = self._unpack(kind, body, reference.header, count - reference.count)
         if header is None:

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from telepresence.haptics.mediated.wall import is_wall
-from telepresence.link.figures import SenderFigures
 from telepresence.link.flows import Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
@@ -19,6 +18,7 @@ from telepresence.link.frame import (
     Pointers,
 )
 from telepresence.link.header_compression import KIND_WHOLE, RtpCompressor
+from telepresence.link.link_metrics import SenderMetrics
 from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
 from telepresence.tmtc.pus.head import is_packet
@@ -155,10 +155,10 @@ class LinkSender:
             self._waiting[level] = None
             queue.flush(now_ns)
 
-    def set_patience(self, max_age_ns: int | None) -> None:
+    def set_timeout(self, max_age_ns: int | None) -> None:
         """Limit the age of all packets; older ones are dropped as `signal_lost`."""
         for queue in self._queues:
-            queue.set_patience(max_age_ns)
+            queue.set_timeout(max_age_ns)
 
     def restart_contexts(self) -> None:
         """The peer may hold no header context: begin all RTP flows with whole headers."""
@@ -332,9 +332,9 @@ class LinkSender:
             "idle": self._idle,
         }
 
-    def report(self, now_ns: int) -> SenderFigures:
+    def report(self, now_ns: int) -> SenderMetrics:
         """Return rates, the octets by what they carried, and each level's queue."""
-        return SenderFigures(
+        return SenderMetrics(
             capacity_bps=self.profile.capacity_bps,
             frames=self.frames_sent,
             octets=self.octets(),

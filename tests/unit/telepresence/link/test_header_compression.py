@@ -315,7 +315,7 @@ def test_exact_or_not_at_all(flow, seed, history):
         elif habit["event"] == "told":
             path.compressor.restart()
         elif habit["event"] == "sender":
-            # The receiver notices a new life.
+            # The receiver notices a new start.
             path = Path(flow)
         run(flow, path, source, habit)
 
