@@ -105,7 +105,7 @@ def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
             session,
             setup,
             seconds=args.seconds,
-            seed=session.facts.seed if args.seed is None else args.seed,
+            seed=session.metadata.seed if args.seed is None else args.seed,
             media=not args.no_media,
             costs=costs,
             recode=str(args.replay) if args.recode else None,

@@ -12,10 +12,10 @@ from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.session_files import remember, session_root
 from pipelines.media.coded_topics import ReceivedTopics
-from pipelines.media.stream_figures import note_arrivals, note_unit, video_receiver, voice_receiver
+from pipelines.media.stream_metrics import note_arrivals, note_unit, video_receiver, voice_receiver
 from pipelines.session.datagrams import receive
-from pipelines.session.figures import DecodedRow
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.session_metrics import DecodedRow
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topic_ends import SampleTopic
 
@@ -50,9 +50,9 @@ class Incoming:
 
     def wait(self, due_ns: int | None) -> None:
         """Wait for datagrams, until `due_ns` at the latest, and pass them to the receiver."""
-        wait_ns = PATIENCE_NS
+        wait_ns = TIMEOUT_NS
         if due_ns is not None:
-            wait_ns = min(PATIENCE_NS, max(0, due_ns - self._clock.now_ns()))
+            wait_ns = min(TIMEOUT_NS, max(0, due_ns - self._clock.now_ns()))
         ready = select.select((self._rtp, self._rtcp), (), (), wait_ns / NS_PER_S)[0]
         # Each datagram has its own stamp: one that comes during this loop must not seem to arrive
         # before it was sent. Reports are first, because the first of them dates the first picture.
@@ -76,11 +76,11 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     # Made before the receiver's series, so that the decoding of a picture is reported first.
     decoded = probe.series(DecodedRow)
 
-    def tell() -> None:
-        probe.tell(receiver.counts)
-        probe.tell(decoder.counts)
+    def publish() -> None:
+        probe.publish(receiver.counts)
+        probe.publish(decoder.counts)
 
-    context.on_flush(tell)
+    context.on_flush(publish)
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, receiver)
         to_sender = context.sender(context.topology.entry_port(row.feedback))
@@ -124,7 +124,7 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     clock, probe = context.clock, context.probe
     receiver = voice_receiver(context.topology, stream, wall_offset_ns=clock.wall_offset_ns)
     player = VoicePlayer()
-    context.on_flush(lambda: probe.tell(receiver.counts))
+    context.on_flush(lambda: probe.publish(receiver.counts))
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, receiver)
         writer = bus.writer(

@@ -20,9 +20,9 @@ from pipelines.media.following import (
     tip_region,
 )
 from pipelines.media.gain import LinkedVideoSender, gain_of
-from pipelines.media.stream_figures import tell_sender, to_gateway, video_sender, voice_sender
+from pipelines.media.stream_metrics import publish_sender, to_gateway, video_sender, voice_sender
 from pipelines.session.datagrams import receive
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topic_ends import SampleTopic, unpack_state
 from pipelines.session.topology import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
@@ -54,7 +54,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
     linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
     outgoing = to_gateway(context, stream, sender)
     feedback = context.listen_media(context.topology.exit_port(row.feedback))
-    context.on_flush(lambda: tell_sender(probe, sender, linked.gain))
+    context.on_flush(lambda: publish_sender(probe, sender, linked.gain))
     with (
         context.open_bus() as bus,
         # The thread reads shared memory, so it ends before the bus.
@@ -77,7 +77,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
             now_ns = clock.now_ns()
             context.tick(now_ns)
             due_ns = sender.poll_timeout()
-            wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns)
+            wait_ns = TIMEOUT_NS if due_ns is None else min(TIMEOUT_NS, due_ns - now_ns)
             if selection is not None and selection.waits:
                 # The scheduler asks for a picture that must not be encoded, or is yet to come.
                 wait_ns = max(wait_ns, _SWITCH_NS)
@@ -222,7 +222,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
     )
     encoder = OpusEncoder(bitrate_bps=sender.bitrate_bps)
     outgoing = to_gateway(context, stream, sender)
-    context.on_flush(lambda: tell_sender(probe, sender))
+    context.on_flush(lambda: publish_sender(probe, sender))
     with context.open_bus() as bus:
         reader = bus.reader(topic, depth=8)
         packets = SampleTopic(bus, context.topology.media(stream.name).sent_topic)
@@ -230,7 +230,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
             now_ns = clock.now_ns()
             context.tick(now_ns)
             due_ns = sender.poll_timeout()
-            reader.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
+            reader.wait(TIMEOUT_NS if due_ns is None else min(TIMEOUT_NS, due_ns - now_ns))
             while (lease := reader.next()) is not None:
                 with lease:
                     if not sender.handle_block(lease.stamp, clock.now_ns()):

@@ -20,12 +20,12 @@ from kontur_av.streams.voice_receiver import VoiceReceiver
 from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.media.following import CameraFollower, Choice, TipRegion
 from pipelines.media.gain import LinkedVideoSender, gain_of
-from pipelines.media.showing import OPERATORS, Recall, Showing, tell_click, tell_light
-from pipelines.media.stream_figures import (
+from pipelines.media.showing import OPERATORS, Recall, Showing, publish_click, publish_light
+from pipelines.media.stream_metrics import (
     Outgoing,
     note_arrivals,
     note_unit,
-    tell_sender,
+    publish_sender,
     video_receiver,
     voice_receiver,
     voice_sender,
@@ -55,10 +55,10 @@ class _SendProcess(Generic[_Sender]):
         #: Whether a picture or block is being encoded.
         self._busy = False
         self._timer = Timer(scene.agenda, self._wake)
-        scene.telling.add(self.tell)
+        scene.telling.add(self.publish)
 
-    def tell(self) -> None:
-        tell_sender(self._probe, self._sender)
+    def publish(self) -> None:
+        publish_sender(self._probe, self._sender)
 
     def _wake(self, now_ns: int) -> None:
         self._send_due(now_ns)
@@ -78,8 +78,8 @@ class VideoProcess(_SendProcess[VideoSender]):
         self._linked = LinkedVideoSender(sender, gain_of(scene.setup, stream))
         self.handle_feedback = sender.handle_feedback
 
-    def tell(self) -> None:
-        tell_sender(self._probe, self._sender, self._linked.gain)
+    def publish(self) -> None:
+        publish_sender(self._probe, self._sender, self._linked.gain)
 
     def handle_unit(self, unit: AccessUnit, now_ns: int) -> None:
         self._sender.handle_coded(unit, now_ns)
@@ -280,10 +280,10 @@ class _ReceiveProcess(Generic[_Receiver]):
         self._decoder = Batch(scene.workers.start(make))
         self._recall = Recall()
         self._timer = Timer(scene.agenda, self._expire)
-        scene.telling.add(self.tell)
+        scene.telling.add(self.publish)
 
-    def tell(self) -> None:
-        self._probe.tell(self._receiver.counts)
+    def publish(self) -> None:
+        self._probe.publish(self._receiver.counts)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
         self._receiver.handle_packet(datagram, now_ns)
@@ -323,9 +323,9 @@ class VideoReceiveProcess(_ReceiveProcess[VideoReceiver]):
         self._decoding: deque[tuple[int, int, int | None]] = deque()
         self._counts = DecoderCounts()
 
-    def tell(self) -> None:
-        super().tell()
-        self._probe.tell(self._counts)
+    def publish(self) -> None:
+        super().publish()
+        self._probe.publish(self._counts)
 
     def _expire(self, now_ns: int) -> None:
         self._receiver.handle_timeout(now_ns)
@@ -368,7 +368,7 @@ class VideoReceiveProcess(_ReceiveProcess[VideoReceiver]):
                     self._display.handle_shown(self._stream, stamp, shown_ns)
                     self._recall.add(of, stamp.capture_ns)
             for light in lights:
-                tell_light(self._display.probe, self._stream, light, self._recall.captured_ns)
+                publish_light(self._display.probe, self._stream, light, self._recall.captured_ns)
 
 
 class VoiceReceiveProcess(_ReceiveProcess[VoiceReceiver]):
@@ -402,4 +402,4 @@ class VoiceReceiveProcess(_ReceiveProcess[VoiceReceiver]):
                 self._display.handle_shown(self._stream, stamp, heard_ns)
                 self._recall.add(block.timestamp, stamp.capture_ns)
             for click in clicks:
-                tell_click(self._display.probe, self._stream, click, self._recall.captured_ns)
+                publish_click(self._display.probe, self._stream, click, self._recall.captured_ns)
