@@ -51,10 +51,10 @@ class RtpHeader(NamedTuple):
 
 
 class _Reference(NamedTuple):
-    """A whole header, and the frame count, not wrapped, of the frame in which its packet began."""
+    """A whole header. begun: frame count, not wrapped, of the frame in which its packet started."""
 
     header: RtpHeader
-    count: int
+    begun: int
 
 
 def parse_header(data: bytes) -> RtpHeader | None:
@@ -129,19 +129,19 @@ class RtpCompressor:
         header = parse_header(data)
         if header is not None:
             possible = self._possible
-            while possible and count - possible[0].count > self._boot_id:
+            while possible and count - possible[0].begun > self._boot_id:
                 possible.popleft()
             if not possible:
                 self._whole = 0
-            if self._whole >= FIRST_WHOLE and count - possible[-1].count < self._refresh:
+            if self._whole >= FIRST_WHOLE and count - possible[-1].begun < self._refresh:
                 for kind, residue in self._forms.pack(header):
                     if self._restored(kind, residue, header, count):
-                        self._count("timed" if residue else "steady", len(residue))
+                        self._note("timed" if residue else "steady", len(residue))
                         return kind, residue + data[RTP_HEADER_OCTETS:], len(residue)
             possible.append(_Reference(header, count))
             self._whole += 1
         header_octets = min(len(data), RTP_HEADER_OCTETS)
-        self._count("whole", header_octets)
+        self._note("whole", header_octets)
         return KIND_WHOLE, data, header_octets
 
     def _restored(self, kind: int, residue: bytes, header: RtpHeader, count: int) -> bool:
@@ -151,7 +151,7 @@ class RtpCompressor:
                 return False
         return True
 
-    def _count(self, form: str, octets: int) -> None:
+    def _note(self, form: str, octets: int) -> None:
         self._packets[form] += 1
         self._header_octets += 1 + octets
 
@@ -186,9 +186,9 @@ class RtpDecompressor:
         reference = self._reference
         if kind < KIND_STEADY:
             return "malformed"
-        if reference is None or count - reference.count > self._boot_id:
+        if reference is None or count - reference.begun > self._boot_id:
             return "no_context"
-        header = self._unpack(kind, body, reference.header, count - reference.count)
+        header = self._unpack(kind, body, reference.header, count - reference.begun)
         if header is None:
             return "malformed"
         marker, payload_type, sequence, timestamp, ssrc = header
