@@ -13,7 +13,7 @@ from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
-from pipelines.bench.session import live_session
+from pipelines.bench.session import busy_programs, live_session
 from pipelines.report.charts import check_plot, lead_chart, save
 from pipelines.report.journeys import STAGES
 from pipelines.report.model import (
@@ -149,6 +149,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     live.add_argument("--no-live", action="store_true", help="virtual time only")
     add_radio_argument(parser, default="clean")
     add_deadband_argument(parser)
+    add_options(parser, "--load N <int=0>  busy programs beside the live run (default 0)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's losses")
     parser.add_argument(
         "--base-port", type=int, default=27_000, metavar="P", help="of the live run"
@@ -219,14 +220,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _live(args: argparse.Namespace) -> SessionReport:
     try:
-        return live_session(
-            args.setup,
-            seconds=args.live_seconds,
-            seed=args.seed,
-            radio=args.radio,
-            base_port=args.base_port,
-            deadband=args.deadband,
-        )
+        with busy_programs(args.load):
+            return live_session(
+                args.setup,
+                seconds=args.live_seconds,
+                seed=args.seed,
+                radio=args.radio,
+                base_port=args.base_port,
+                deadband=args.deadband,
+            )
     except ConfigError as error:
         raise ConfigError(f"live: {error} (or leave it out with --no-live)") from None
 
