@@ -70,20 +70,21 @@ def test_loops_restarts_open_paths_and_long_round_trips_are_warned_of():
 
 def test_a_coder_that_gave_up_its_priority_is_warned_of_and_told_once():
     collector = Collector(topology_of(BUILT_IN["taskboard"]))
-    restarts = dict.fromkeys(("camera_left", "uplink_video_sender"), 0)
+    coder = collector.topology.media("uplink_video").sender
+    restarts = dict.fromkeys(("robot", coder), 0)
     events = EventLog(collector)
     told = []
     for scheduler in ("fifo", "too_busy", "too_busy"):
         for name in restarts:
-            busy = scheduler if name == "uplink_video_sender" else "fifo"
+            busy = scheduler if name == coder else "fifo"
             collector.handle_message(name, message(scheduler=busy), 1)
         processes = [ProcessNow(name=name, restarts=0, running=True, error="") for name in restarts]
         events.handle_look(processes, switch=SessionSwitch(), started_ns=0, now_ns=len(told))
         told.append([event.text for event in events.events])
     words = "takes more than half a core: it goes on without real-time priority"
-    assert told == [[]] + 2 * [[f"uplink_video_sender {words}"]]
+    assert told == [[]] + 2 * [[f"{coder} {words}"]]
     (warning,) = find_warnings(collector, seconds=1.0, restarts=restarts)
-    assert (warning.what, warning.where) == ("priority_given_up", "uplink_video_sender")
+    assert (warning.what, warning.where) == ("priority_given_up", coder)
     assert "smaller pictures" in warning.fix
 
 

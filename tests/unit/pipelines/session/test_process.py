@@ -19,7 +19,7 @@ def test_a_process_that_takes_more_than_half_a_core_for_two_seconds_loses_its_pr
 
     # What it took before the first look does not count, nor does half a core, nor a short burst.
     assert all(look(0.5, 20))
-    assert all(look(0.9, 1) + look(0.05, 1))
+    assert all(look(0.3, 20) + look(0.9, 0.5) + look(0.3, 20))
     cpu_ns += 1
     assert look(0.5, 2)[-1] is False
     # It does not get it back.
