@@ -164,6 +164,8 @@ def run(args: argparse.Namespace) -> int:
         if not 1 <= getattr(args, name) <= 3600:
             option = f"--{name.replace('_', '-')}"
             raise ConfigError(f"{option} {getattr(args, name):g}: give 1 to 3600")
+    if not 0 <= args.load <= 64:
+        raise ConfigError(f"--load {args.load}: give 0 to 64")
     check_writable(args.report)
     check_plot(args.plot)
     setups = _setups(args)
