@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
     given = {
         "addresses": addresses,
         "peer": None if one is None else one.plan,
-        "tell_backlog": False,
+        "publish_backlog": False,
     }
     launcher = Launcher(
         session="link",
