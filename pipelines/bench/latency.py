@@ -16,14 +16,7 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_session
 from pipelines.report.charts import check_plot, lead_chart, save
 from pipelines.report.journeys import STAGES
-from pipelines.report.model import (
-    ContentSkew,
-    Ranks,
-    SessionReport,
-    SkewReport,
-    Spread,
-    VideoLead,
-)
+from pipelines.report.model import ContentSkew, Ranks, SessionReport, SkewReport, Spread, VideoLead
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, titled_table
 from pipelines.report.sync_metrics import LIMITS
