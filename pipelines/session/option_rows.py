@@ -31,7 +31,7 @@ _TYPES: dict[str, Callable[[str], Any]] = {
     "port": port,
 }
 #: Rows that several commands have, by their first names.
-_COMMON = {
+COMMON_ROWS = {
     row.split()[0].rstrip(","): row
     for row in (
         "--seconds S <float>  end after S seconds (default: on Ctrl-C)",
@@ -57,7 +57,7 @@ def add_options(parser: argparse._ActionsContainer, *rows: str) -> None:
     alone stands for a common row.
     """
     for row in rows:
-        head, _, text = _COMMON.get(row, row).partition("  ")
+        head, _, text = COMMON_ROWS.get(row, row).partition("  ")
         head, bracket, kind = head.partition(" <")
         words = head.replace(", -", " -").split(" ")
         option = row.startswith("-")
