@@ -1,3 +1,4 @@
+# ruff: noqa: RUF009 (each default is a field)
 """The options of a session: each is declared once, as a field of `StreamOptions`.
 
 Arguments of the commands, keys of site files, `stream --explain` and the documents derive from it.
@@ -12,6 +13,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from kontur_av.errors import ConfigError
 from pipelines.session.option_rows import COMMON_ROWS, add_options
+from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import NO_RADIO, Deadband, HandMode, Setup
@@ -30,19 +32,17 @@ _FILES_KBPS = ",".join(f"{bps / 1000:g}" for bps in FILES_BPS.values())
 def _group(group: str) -> Callable[..., Any]:
     """Return what declares an option of this group."""
 
-    def declare(metavar: str, text: str = "", default: object = None, **more: object) -> Any:
-        """A field of `StreamOptions`. metavar: "" of flags and choices.
+    def declare(row: str = "", default: object = None, **more: object) -> Any:
+        """A field of `StreamOptions`. row: `METAVAR  HELP`; of flags and choices only HELP.
 
-        text: of the help; without, metavar and text are those of the common row of that name.
-        more, as metadata: `short`, a second name. `bare`, the value of the option without one.
-        `first`, whether the short help has it. `off`, the help of `--no-NAME`. `rivals`, the
-        options that it replaces, and that cannot be given with it. `spec`, whether it may name a
-        file. `like`, its values in a site file in words.
+        Without a row it is the common one of that name. more, as metadata: `short`, a second name.
+        `bare`, the value of the option without one. `first`, whether the short help has it. `off`,
+        the help of `--no-NAME`. `rivals`, options that it replaces, and that cannot be given with
+        it. `spec`, whether it may name a file. `like`, its values in a site file in words.
         """
-        if metavar.startswith("NAME="):
-            default, more["like"] = (), f"a table of texts, like NAME = {metavar[5:]!r}"
-        row = {"group": group, "metavar": metavar, "text": text, **more}
-        return field(default=default, metadata=row)
+        if row.startswith("NAME="):
+            default, more["like"] = (), "a table of texts, like [source] or [service]"
+        return field(default=default, metadata={"group": group, "row": row, **more})
 
     return declare
 
@@ -58,226 +58,197 @@ class StreamOptions:
     """What the user asks of a session, by command line and site file."""
 
     setup: str | Mapping[str, Any] | None = _session(
-        "NAME",
-        "spacejustin, taskboard or FILE.toml",
+        "NAME  spacejustin, taskboard or FILE.toml",
         first=True,
         spec=True,
         like="a name or a file in quotes, or a table [setup]",
     )
-    seconds: float | None = _session("", first=True)
-    record: Path | None = _session("FILE.mcap", "record the session", first=True)
-    overwrite: bool = _session("", "replace a recording of that name", False)
-    link_frames: bool = _session("", "record every frame of the radio link, too", False)
+    seconds: float | None = _session(first=True)
+    record: Path | None = _session("FILE.mcap  record the session", first=True)
+    overwrite: bool = _session("replace a recording of that name", False)
+    link_frames: bool = _session("record every frame of the radio link, too", False)
     part_seconds: float = _session(
-        "S", "begin a new part of the recording after S seconds (default 600)", 600.0
+        "S  begin a new part of the recording after S seconds (default 600)", 600.0
     )
-    part_mb: float = _session("M", "or after M MB (default 256)", 256.0)
-    report: Path | None = _session("", first=True)
-    snapshots: Path | None = _session("DIR", "keep what is shown as PNG")
+    part_mb: float = _session("M  or after M MB (default 256)", 256.0)
+    report: Path | None = _session(first=True)
+    snapshots: Path | None = _session("DIR  keep what is shown as PNG")
     tasks: tuple[Path, ...] | None = _session(
-        "FILE.xml",
-        "have tasks for people; with files, further ones",
+        "FILE.xml  have tasks for people; with files, further ones",
         bare=(),
         first=True,
         like="true, or a list of files in quotes",
     )
     plan: Path | None = _session(
-        "PLAN.toml",
-        "select the tasks of a plan; with a simulated joystick a simulated cosmonaut does them",
+        "PLAN.toml  select the tasks of a plan; with a simulated joystick a simulated cosmonaut "
+        "does them"
     )
-    leds: str | None = _session("HOST:PORT", "of an LED panel that takes the place of the built-in")
-    runs: Path | None = _session("DIR", "record each run of a task into a file there")
+    leds: str | None = _session("HOST:PORT  of an LED panel that takes the place of the built-in")
+    runs: Path | None = _session("DIR  record each run of a task into a file there")
     telemetry: tuple[str, ...] = _session(
-        "SPEC",
-        "your component in telemetry: module:Class, at both ends; repeatable",
-        **_LIST,
+        "SPEC  your component in telemetry: module:Class, at both ends; repeatable", **_LIST
     )
     trainer: bool = _session(
-        "",
-        "heed `kontur-av trainer`; with --end space, the radio of both directions is here",
-        False,
+        "heed `kontur-av trainer`; with --end space, the radio of both directions is here", False
     )
-    base_port: int | None = _session("")
-    verbose: bool = _session("", "show each process' CPU", False, short="-v", rivals=("quiet",))
-    quiet: bool = _session("", "", False, short="-q", rivals=("verbose",), first=True)
+    base_port: int | None = _session()
+    verbose: bool = _session("show each process' CPU", False, short="-v", rivals=("quiet",))
+    quiet: bool = _session("", False, short="-q", rivals=("verbose",), first=True)
 
     source: tuple[str, ...] = _inputs(
-        "NAME=SPEC",
-        "what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, "
-        "alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a program; "
-        "repeatable",
+        "NAME=SPEC  what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, "
+        "v4l2:DEVICE, alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a "
+        "program; repeatable",
         first=True,
         spec=True,
     )
 
     robot: str = _robot(
-        "SPEC",
-        "sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
+        "SPEC  sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
         SIMULATED_ROBOT,
         first=True,
         spec=True,
     )
     joystick: str = _robot(
-        "SPEC",
-        "sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
-        "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class "
-        "(default: sim); see `kontur-av joystick list`",
+        "SPEC  sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
+        "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
+        "sim); see `kontur-av joystick list`",
         SIMULATED,
         first=True,
         spec=True,
     )
-    second_robot: str = _robot("SPEC", "the partner's arm, as --robot", SIMULATED_ROBOT, spec=True)
+    second_robot: str = _robot("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT, spec=True)
     hand: HandMode | None = _robot(
-        "",
         "what the hand feels: the robot's delayed force (direct, the default), the wall that the "
         "robot's side has estimated, rendered at the joystick (mediated), or that wall and all "
-        "other force directly (auto)",
+        "other force directly (auto)"
     )
     deadband: Deadband | None = _robot(
-        "",
         "leave out haptic samples that nobody would miss; the uplink video gets their room, as a "
         "higher rate (picture, the default) or a lower delay (latency)",
         bare="picture",
     )
 
     radio: str | None = _radio(
-        "PROFILE",
-        f"{', '.join(RADIOS)} or FILE.toml",
+        f"PROFILE  {', '.join(RADIOS)} or FILE.toml",
         first=True,
         spec=True,
         rivals=("radio_delay_ms",),
     )
     radio_start: float | None = _radio(
-        "S", "begin S seconds after a pass's acquisition of signal (negative: before it)"
+        "S  begin S seconds after a pass's acquisition of signal (negative: before it)"
     )
-    radio_delay_ms: float | None = _radio("D", "a cable with a delay one way", rivals=("radio",))
-    seed: int = _radio("N", "seed of the radio's random losses", 0)
+    radio_delay_ms: float | None = _radio("D  a cable with a delay one way", rivals=("radio",))
+    seed: int = _radio("N  seed of the radio's random losses", 0)
     end: Literal["ground", "space"] | None = _radio(
-        "", "run this end alone; the other runs on another machine", first=True
+        "run this end alone; the other runs on another machine", first=True
     )
     listen: str | None = _radio(
-        "ADDR:PORT",
-        "with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
+        "ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
         first=True,
         rivals=("peer",),
     )
     peer: str | None = _radio(
-        "HOST:PORT",
-        "with --end: call the other end, which listens there",
+        "HOST:PORT  with --end: call the other end, which listens there",
         first=True,
         rivals=("listen",),
     )
-    key: Path | None = _radio("")
+    key: Path | None = _radio()
     identity: str | None = _radio(
-        "ID", "with --end: the other machine's identity, if several are trusted"
+        "ID  with --end: the other machine's identity, if several are trusted"
     )
     insecure: bool = _radio(
-        "", "with --end: neither encrypt nor authenticate; on a private network only", False
+        "with --end: neither encrypt nor authenticate; on a private network only", False
     )
     bypass: bool = _radio(
-        "",
-        "for tests, with both ends here: join the programs directly, past gateways and radio",
-        False,
+        "for tests, with both ends here: join the programs directly, past gateways and radio", False
     )
 
     page: str | bool | None = _pages(
-        "[HOST:]PORT",
-        f"where the browser pages are served (default 127.0.0.1:{PAGE_PORT}, or the next free "
-        "ports); TLS beyond loopback",
+        f"[HOST:]PORT  where the browser pages are served (default 127.0.0.1:{PAGE_PORT}, or the "
+        "next free ports); TLS beyond loopback",
         first=True,
         off="serve no browser pages",
         like="a text [HOST:]PORT in quotes, a port, or false",
     )
-    open: bool = _pages("", "open the first page in a browser", False, first=True)
+    open: bool = _pages("open the first page in a browser", False, first=True)
     page_cert: Path | None = _pages(
-        "FILE", "PEM file with certificate and key for the pages (default: made for the session)"
+        "FILE  PEM file with certificate and key for the pages (default: made for the session)"
     )
     rtc: str | None = _pages(
-        "[HOST:]PORT",
-        "serve a partner across the Internet by WebRTC: it sees and hears both sides, and is seen "
-        f"and heard at the ground (default 127.0.0.1:{RTC_PORT}); TLS beyond loopback",
+        "[HOST:]PORT  serve a partner across the Internet by WebRTC: it sees and hears both "
+        f"sides, and is seen and heard at the ground (default 127.0.0.1:{RTC_PORT}); TLS beyond "
+        "loopback",
         bare=RTC_PORT,
     )
     rtc_token_file: Path | None = _pages(
-        "FILE",
-        "the partner's token to watch and to send (default: a new one for each session)",
+        "FILE  the partner's token to watch and to send (default: a new one for each session)"
     )
     rtc_hand_token_file: Path | None = _pages(
-        "FILE", "its token to steer (default: a new one for each session)"
+        "FILE  its token to steer (default: a new one for each session)"
     )
     ice_server: str | None = _pages(
-        "URL",
-        "stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media server "
-        "names, if there is one)",
+        "URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media "
+        "server names, if there is one)"
     )
     turn_secret_file: Path | None = _pages(
-        "FILE",
-        "the secret shared with a TURN server, for credentials of one hour (coturn's "
-        "use-auth-secret)",
+        "FILE  the secret shared with a TURN server, for credentials of one hour (coturn's "
+        "use-auth-secret)"
     )
-    turn_user: str | None = _pages("NAME", "a lasting user name of the server")
-    turn_password_file: Path | None = _pages("FILE", "with --turn-user")
+    turn_user: str | None = _pages("NAME  a lasting user name of the server")
+    turn_password_file: Path | None = _pages("FILE  with --turn-user")
     ice_relay_only: bool = _pages(
-        "", "go through the TURN server only, and tell no address of this machine", False
+        "go through the TURN server only, and tell no address of this machine", False
     )
 
     metrics: str | None = _outlets(
-        "[HOST:]PORT",
-        "serve all figures to Prometheus at /metrics, and /healthz (default 127.0.0.1:9270); "
-        "everyone who reaches the port can read them",
+        "[HOST:]PORT  serve all figures to Prometheus at /metrics, and /healthz (default "
+        "127.0.0.1:9270); everyone who reaches the port can read them",
         bare="9270",
         first=True,
     )
     foxglove: str | None = _outlets(
-        "[HOST:]PORT",
-        "serve the channels of a recording to Foxglove and Lichtblick (default 127.0.0.1:8765); "
-        "TLS beyond loopback",
+        "[HOST:]PORT  serve the channels of a recording to Foxglove and Lichtblick (default "
+        "127.0.0.1:8765); TLS beyond loopback",
         bare="8765",
         first=True,
     )
     ros2: str | None = _outlets(
-        "[HOST:]PORT",
-        "be a node of a ROS 2 system, by the router of rmw_zenoh at this place (default "
-        "127.0.0.1:7447), in the domain of ROS_DOMAIN_ID; everyone who reaches the router can see "
-        "and hear the session",
+        "[HOST:]PORT  be a node of a ROS 2 system, by the router of rmw_zenoh at this place "
+        "(default 127.0.0.1:7447), in the domain of ROS_DOMAIN_ID; everyone who reaches the "
+        "router can see and hear the session",
         bare="7447",
         first=True,
     )
     packets: str | None = _outlets(
-        "tcp:[HOST:]PORT|udp:HOST:PORT",
-        "give telemetry to another ground system, and take its telecommands: tcp listens; udp "
-        "sends to PORT, and takes telecommands of HOST at PORT + 1",
+        "tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and take its "
+        "telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at PORT + 1"
     )
     packets_allow: tuple[str, ...] = _outlets(
-        "WHAT",
-        "telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
+        "WHAT  telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
         "repeatable (default: questions alone)",
         **_LIST,
     )
     frames: str | None = _outlets(
-        "udp:HOST:PORT",
-        "send copies of the radio link's frames to another ground system: the downlink's to PORT, "
-        "the uplink's to PORT + 1",
+        "udp:HOST:PORT  send copies of the radio link's frames to another ground system: the "
+        "downlink's to PORT, the uplink's to PORT + 1"
     )
     files: Path | None = _outlets(
-        "DIR",
-        "carry files: the ground's end has DIR/ground, space has DIR/space; see `kontur-av file`",
+        "DIR  carry files: the ground's end has DIR/ground, space has DIR/space; see `kontur-av "
+        "file`",
         first=True,
     )
     files_rate: str | None = _outlets(
-        "UP,DOWN",
-        "the most that files take, in kbit/s from the ground and from space "
-        f"(default {_FILES_KBPS}); media always go first",
+        "UP,DOWN  the most that files take, in kbit/s from the ground and from space (default "
+        f"{_FILES_KBPS}); media always go first",
         like="two numbers, like [8, 200]",
     )
     service: tuple[str, ...] = _outlets(
-        "NAME=PORT",
-        "lead TCP connections to PORT of this machine to the other end's service NAME; with both "
-        "ends here, from the ground to space; needs --files; repeatable",
+        "NAME=PORT  lead TCP connections to PORT of this machine to the other end's service NAME; "
+        "with both ends here, from the ground to space; needs --files; repeatable"
     )
     service_allow: tuple[str, ...] = _outlets(
-        "NAME=HOST:PORT",
-        "let the other end connect to HOST:PORT as service NAME; repeatable",
+        "NAME=HOST:PORT  let the other end connect to HOST:PORT as service NAME; repeatable"
     )
 
     def __post_init__(self) -> None:
@@ -342,13 +313,16 @@ def add_session_options(
     return actions
 
 
+def row_of(option: Field[Any]) -> tuple[str, str]:
+    """What an option's value is called, or "", and its help."""
+    short = option.metadata.get("short", flag(option.name))
+    head, _, text = (option.metadata["row"] or COMMON_ROWS[short]).rpartition("  ")
+    return " ".join(word for word in head.split() if not word.startswith(("-", "<"))), text
+
+
 def _argument(option: Field[Any]) -> dict[str, Any]:
     """What `add_argument` takes for an option, besides its names."""
-    metavar, text = option.metadata["metavar"], option.metadata["text"]
-    if not text:
-        head, _, text = COMMON_ROWS[option.metadata.get("short", flag(option.name))].partition("  ")
-        words = [word for word in head.split() if not word.startswith(("-", "<"))]
-        metavar = " ".join(words)
+    metavar, text = row_of(option)
     kind = hint_of(option.name)[0]
     if kind is bool:
         return {"action": "store_true", "help": text}
@@ -412,7 +386,7 @@ def _sources(options: Iterable[str]) -> Mapping[str, str]:
         name, equals, spec = option.partition("=")
         if not (name and equals and spec):
             raise ConfigError(f"--source {option}: write NAME=SPEC, like head=clip.mp4")
-        sources[name] = spec
+        sources[current(name, INPUTS)] = spec
     return sources
 
 

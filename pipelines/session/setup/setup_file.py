@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from kontur_av.errors import ConfigError, refused
+from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.setup.setup_text import SETUP_FILE, setup_table, setup_values
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
@@ -72,7 +73,8 @@ def _built(
     radio_start_s: float | None,
 ) -> Setup:
     # Put them in before the setup is built: an input may have its only source on the command line.
-    values = {**found, "sources": {**found["sources"], **sources}, **changes}
+    own = {current(name, INPUTS): spec for name, spec in found["sources"].items()}
+    values = {**found, "sources": {**own, **sources}, **changes}
     radio = values["radio"]
     if isinstance(radio, str) and (radio_start_s is not None or radio not in RADIOS):
         values["radio"] = radio = load_radio(radio)
