@@ -102,8 +102,8 @@ def add_actions(
     return parsers
 
 
-def refuse_options(args: argparse.Namespace, why: str, *options: str) -> None:
+def refuse_options(args: object, why: str, *options: str) -> None:
     """Raise ConfigError for the first of these options that is given. why: follows its name."""
     for option in options:
-        if getattr(args, option) not in (None, False, []):
+        if getattr(args, option) not in (None, False, [], ()):
             raise ConfigError(f"--{option.replace('_', '-')}{why}")

@@ -26,178 +26,161 @@ from telepresence.link.radio.profile_file import load_radio
 PAGE_PORT, RTC_PORT = "8270", "8290"
 #: What files may take at most, by the end that sends them, without an option.
 FILES_BPS = {Segment.GROUND: 8_000, Segment.SPACE: 200_000}
-_FILES_KBPS = ",".join(f"{bps / 1000:g}" for bps in FILES_BPS.values())
+FILES_KBPS = ",".join(f"{bps / 1000:g}" for bps in FILES_BPS.values())
 
 
-def _group(group: str) -> Callable[..., Any]:
-    """Return what declares an option of this group."""
+GROUPS = ("session", "inputs", "robot", "radio", "pages", "outlets")
+
+
+def _group(group: str, *, first: bool) -> Callable[..., Any]:
+    """Return what declares an option of this group. first: the short help has it."""
 
     def declare(row: str = "", default: object = None, **more: object) -> Any:
         """A field of `StreamOptions`. row: `METAVAR  HELP`; of flags and choices only HELP.
 
-        Without a row it is the common one of that name. more, as metadata: `short`, a second name.
-        `bare`, the value of the option without one. `first`, whether the short help has it. `off`,
-        the help of `--no-NAME`. `rivals`, options that it replaces, and that cannot be given with
-        it. `spec`, whether it may name a file. `like`, its values in a site file in words.
+        Without a row it is the common one of that name. more, as metadata: `short`, a second name;
+        `bare`, the value of the option without one; `off`, the help of `--no-NAME`; `rivals`, the
+        options that it replaces, and that cannot be given with it.
         """
-        if row.startswith("NAME="):
-            default, more["like"] = (), "a table of texts, like [source] or [service]"
-        return field(default=default, metadata={"group": group, "row": row, **more})
+        default = () if row.startswith("NAME=") else default
+        return field(default=default, metadata={"group": group, "row": row, "first": first, **more})
 
     return declare
 
 
-_session, _inputs, _robot, _radio, _pages, _outlets = map(
-    _group, ("session", "inputs", "robot", "radio", "pages", "outlets")
+_session, _inputs, _robot, _radio, _pages, _outlets = (
+    _group(group, first=True) for group in GROUPS
 )
-_LIST = {"default": (), "like": "a list of texts in quotes"}
+_session_more, _, _robot_more, _radio_more, _pages_more, _outlets_more = (
+    _group(group, first=False) for group in GROUPS
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StreamOptions:
     """What the user asks of a session, by command line and site file."""
 
-    setup: str | Mapping[str, Any] | None = _session(
-        "NAME  spacejustin, taskboard or FILE.toml",
-        first=True,
-        spec=True,
-        like="a name or a file in quotes, or a table [setup]",
+    setup: str | Mapping[str, Any] | None = _session("NAME  spacejustin, taskboard or FILE.toml")
+    seconds: float | None = _session()
+    record: Path | None = _session("FILE.mcap  record the session")
+    report: Path | None = _session()
+    tasks: tuple[Path, ...] | None = _session(
+        "FILE.xml  have tasks for people; with files, further ones", bare=()
     )
-    seconds: float | None = _session(first=True)
-    record: Path | None = _session("FILE.mcap  record the session", first=True)
-    overwrite: bool = _session("replace a recording of that name", False)
-    link_frames: bool = _session("record every frame of the radio link, too", False)
-    part_seconds: float = _session(
+    quiet: bool = _session("", False, short="-q", rivals=("verbose",))
+    overwrite: bool = _session_more("replace a recording of that name", False)
+    link_frames: bool = _session_more("record every frame of the radio link, too", False)
+    part_seconds: float = _session_more(
         "S  begin a new part of the recording after S seconds (default 600)", 600.0
     )
-    part_mb: float = _session("M  or after M MB (default 256)", 256.0)
-    report: Path | None = _session(first=True)
-    snapshots: Path | None = _session("DIR  keep what is shown as PNG")
-    tasks: tuple[Path, ...] | None = _session(
-        "FILE.xml  have tasks for people; with files, further ones",
-        bare=(),
-        first=True,
-        like="true, or a list of files in quotes",
-    )
-    plan: Path | None = _session(
+    part_mb: float = _session_more("M  or after M MB (default 256)", 256.0)
+    snapshots: Path | None = _session_more("DIR  keep what is shown as PNG")
+    plan: Path | None = _session_more(
         "PLAN.toml  select the tasks of a plan; with a simulated joystick a simulated cosmonaut "
         "does them"
     )
-    leds: str | None = _session("HOST:PORT  of an LED panel that takes the place of the built-in")
-    runs: Path | None = _session("DIR  record each run of a task into a file there")
-    telemetry: tuple[str, ...] = _session(
-        "SPEC  your component in telemetry: module:Class, at both ends; repeatable", **_LIST
+    leds: str | None = _session_more(
+        "HOST:PORT  of an LED panel that takes the place of the built-in"
     )
-    trainer: bool = _session(
+    runs: Path | None = _session_more("DIR  record each run of a task into a file there")
+    telemetry: tuple[str, ...] = _session_more(
+        "SPEC  your component in telemetry: module:Class, at both ends; repeatable", ()
+    )
+    trainer: bool = _session_more(
         "heed `kontur-av trainer`; with --end space, the radio of both directions is here", False
     )
-    base_port: int | None = _session()
-    verbose: bool = _session("show each process' CPU", False, short="-v", rivals=("quiet",))
-    quiet: bool = _session("", False, short="-q", rivals=("verbose",), first=True)
+    base_port: int | None = _session_more()
+    verbose: bool = _session_more("show each process' CPU", False, short="-v", rivals=("quiet",))
 
     source: tuple[str, ...] = _inputs(
         "NAME=SPEC  what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, "
         "v4l2:DEVICE, alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a "
-        "program; repeatable",
-        first=True,
-        spec=True,
+        "program; repeatable"
     )
 
     robot: str = _robot(
         "SPEC  sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
         SIMULATED_ROBOT,
-        first=True,
-        spec=True,
     )
     joystick: str = _robot(
         "SPEC  sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
         "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
         "sim); see `kontur-av joystick list`",
         SIMULATED,
-        first=True,
-        spec=True,
     )
-    second_robot: str = _robot("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT, spec=True)
-    hand: HandMode | None = _robot(
+    second_robot: str = _robot_more("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT)
+    hand: HandMode | None = _robot_more(
         "what the hand feels: the robot's delayed force (direct, the default), the wall that the "
         "robot's side has estimated, rendered at the joystick (mediated), or that wall and all "
         "other force directly (auto)"
     )
-    deadband: Deadband | None = _robot(
+    deadband: Deadband | None = _robot_more(
         "leave out haptic samples that nobody would miss; the uplink video gets their room, as a "
         "higher rate (picture, the default) or a lower delay (latency)",
         bare="picture",
     )
 
     radio: str | None = _radio(
-        f"PROFILE  {', '.join(RADIOS)} or FILE.toml",
-        first=True,
-        spec=True,
-        rivals=("radio_delay_ms",),
+        f"PROFILE  {', '.join(RADIOS)} or FILE.toml", rivals=("radio_delay_ms",)
     )
-    radio_start: float | None = _radio(
-        "S  begin S seconds after a pass's acquisition of signal (negative: before it)"
-    )
-    radio_delay_ms: float | None = _radio("D  a cable with a delay one way", rivals=("radio",))
-    seed: int = _radio("N  seed of the radio's random losses", 0)
     end: Literal["ground", "space"] | None = _radio(
-        "run this end alone; the other runs on another machine", first=True
+        "run this end alone; the other runs on another machine"
     )
     listen: str | None = _radio(
         "ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
-        first=True,
         rivals=("peer",),
     )
     peer: str | None = _radio(
-        "HOST:PORT  with --end: call the other end, which listens there",
-        first=True,
-        rivals=("listen",),
+        "HOST:PORT  with --end: call the other end, which listens there", rivals=("listen",)
     )
-    key: Path | None = _radio()
-    identity: str | None = _radio(
+    radio_start: float | None = _radio_more(
+        "S  begin S seconds after a pass's acquisition of signal (negative: before it)"
+    )
+    radio_delay_ms: float | None = _radio_more("D  a cable with a delay one way", rivals=("radio",))
+    seed: int = _radio_more("N  seed of the radio's random losses", 0)
+    key: Path | None = _radio_more()
+    identity: str | None = _radio_more(
         "ID  with --end: the other machine's identity, if several are trusted"
     )
-    insecure: bool = _radio(
+    insecure: bool = _radio_more(
         "with --end: neither encrypt nor authenticate; on a private network only", False
     )
-    bypass: bool = _radio(
+    bypass: bool = _radio_more(
         "for tests, with both ends here: join the programs directly, past gateways and radio", False
     )
 
     page: str | bool | None = _pages(
         f"[HOST:]PORT  where the browser pages are served (default 127.0.0.1:{PAGE_PORT}, or the "
         "next free ports); TLS beyond loopback",
-        first=True,
         off="serve no browser pages",
-        like="a text [HOST:]PORT in quotes, a port, or false",
     )
-    open: bool = _pages("open the first page in a browser", False, first=True)
-    page_cert: Path | None = _pages(
+    open: bool = _pages("open the first page in a browser", False)
+    page_cert: Path | None = _pages_more(
         "FILE  PEM file with certificate and key for the pages (default: made for the session)"
     )
-    rtc: str | None = _pages(
+    rtc: str | None = _pages_more(
         "[HOST:]PORT  serve a partner across the Internet by WebRTC: it sees and hears both "
         f"sides, and is seen and heard at the ground (default 127.0.0.1:{RTC_PORT}); TLS beyond "
         "loopback",
         bare=RTC_PORT,
     )
-    rtc_token_file: Path | None = _pages(
+    rtc_token_file: Path | None = _pages_more(
         "FILE  the partner's token to watch and to send (default: a new one for each session)"
     )
-    rtc_hand_token_file: Path | None = _pages(
+    rtc_hand_token_file: Path | None = _pages_more(
         "FILE  its token to steer (default: a new one for each session)"
     )
-    ice_server: str | None = _pages(
+    ice_server: str | None = _pages_more(
         "URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media "
         "server names, if there is one)"
     )
-    turn_secret_file: Path | None = _pages(
+    turn_secret_file: Path | None = _pages_more(
         "FILE  the secret shared with a TURN server, for credentials of one hour (coturn's "
         "use-auth-secret)"
     )
-    turn_user: str | None = _pages("NAME  a lasting user name of the server")
-    turn_password_file: Path | None = _pages("FILE  with --turn-user")
-    ice_relay_only: bool = _pages(
+    turn_user: str | None = _pages_more("USER  a lasting user name of the server")
+    turn_password_file: Path | None = _pages_more("FILE  with --turn-user")
+    ice_relay_only: bool = _pages_more(
         "go through the TURN server only, and tell no address of this machine", False
     )
 
@@ -205,49 +188,44 @@ class StreamOptions:
         "[HOST:]PORT  serve all figures to Prometheus at /metrics, and /healthz (default "
         "127.0.0.1:9270); everyone who reaches the port can read them",
         bare="9270",
-        first=True,
     )
     foxglove: str | None = _outlets(
         "[HOST:]PORT  serve the channels of a recording to Foxglove and Lichtblick (default "
         "127.0.0.1:8765); TLS beyond loopback",
         bare="8765",
-        first=True,
     )
     ros2: str | None = _outlets(
         "[HOST:]PORT  be a node of a ROS 2 system, by the router of rmw_zenoh at this place "
         "(default 127.0.0.1:7447), in the domain of ROS_DOMAIN_ID; everyone who reaches the "
         "router can see and hear the session",
         bare="7447",
-        first=True,
-    )
-    packets: str | None = _outlets(
-        "tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and take its "
-        "telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at PORT + 1"
-    )
-    packets_allow: tuple[str, ...] = _outlets(
-        "WHAT  telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
-        "repeatable (default: questions alone)",
-        **_LIST,
-    )
-    frames: str | None = _outlets(
-        "udp:HOST:PORT  send copies of the radio link's frames to another ground system: the "
-        "downlink's to PORT, the uplink's to PORT + 1"
     )
     files: Path | None = _outlets(
         "DIR  carry files: the ground's end has DIR/ground, space has DIR/space; see `kontur-av "
-        "file`",
-        first=True,
+        "file`"
     )
-    files_rate: str | None = _outlets(
+    packets: str | None = _outlets_more(
+        "tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and take its "
+        "telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at PORT + 1"
+    )
+    packets_allow: tuple[str, ...] = _outlets_more(
+        "WHAT  telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
+        "repeatable (default: questions alone)",
+        (),
+    )
+    frames: str | None = _outlets_more(
+        "udp:HOST:PORT  send copies of the radio link's frames to another ground system: the "
+        "downlink's to PORT, the uplink's to PORT + 1"
+    )
+    files_rate: str | None = _outlets_more(
         "UP,DOWN  the most that files take, in kbit/s from the ground and from space (default "
-        f"{_FILES_KBPS}); media always go first",
-        like="two numbers, like [8, 200]",
+        f"{FILES_KBPS}); media always go first"
     )
-    service: tuple[str, ...] = _outlets(
+    service: tuple[str, ...] = _outlets_more(
         "NAME=PORT  lead TCP connections to PORT of this machine to the other end's service NAME; "
         "with both ends here, from the ground to space; needs --files; repeatable"
     )
-    service_allow: tuple[str, ...] = _outlets(
+    service_allow: tuple[str, ...] = _outlets_more(
         "NAME=HOST:PORT  let the other end connect to HOST:PORT as service NAME; repeatable"
     )
 
@@ -272,7 +250,8 @@ def hint_of(name: str) -> tuple[Any, ...]:
 
 
 def is_given(options: StreamOptions, name: str) -> bool:
-    return getattr(options, name) not in (None, False, ())
+    value = getattr(options, name)
+    return not (value is None or value is False or value == ())
 
 
 def flag(name: str) -> str:
@@ -280,37 +259,61 @@ def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def add_session_options(
-    parser: argparse._ActionsContainer, *names: str, later: bool = False
-) -> dict[str, argparse.Action]:
-    """Add the options that these fields declare, and return their actions.
+class _Help(argparse.Action):
+    """Prints the help, without these actions."""
 
-    A name that ends in `!` must be given; `NAME=VALUE` has another default. later: without a
-    default, because a site file may have a value; and `--no-NAME` takes that value back.
+    hidden: Iterable[argparse.Action] = ()
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        for action in self.hidden:
+            action.help = argparse.SUPPRESS
+        parser.print_help()
+        parser.exit()
+
+
+def add_grouped_options(parser: argparse.ArgumentParser) -> None:
+    """Add all options, `-h` for those that newcomers need, and `--help-all`.
+
+    They have no defaults here, because a site file may give a value. `--no-NAME` takes it back.
     """
-    actions = {}
+    unset: dict[str, Any] = {"default": argparse.SUPPRESS}
+    short, _ = (
+        parser.add_argument(*names, action=_Help, nargs=0, help=text, **unset)
+        for names, text in (
+            (("-h", "--help"), "show the frequent options"),
+            (("--help-all",), "show all options"),
+        )
+    )
+    groups = {group: parser.add_argument_group(group) for group in GROUPS}
+    rare = []
+    for name, option in declared().items():
+        either = groups[option.metadata["group"]].add_mutually_exclusive_group()
+        action = _add(either, name, **unset)
+        off = option.metadata.get("off", argparse.SUPPRESS)
+        either.add_argument(flag(f"no_{name}"), dest=name, action="store_false", help=off, **unset)
+        if not option.metadata["first"]:
+            rare.append(action)
+    short.hidden = rare  # type: ignore[attr-defined]
+    parser.usage = "%(prog)s [FILE.toml] [OPTIONS]"
+
+
+def add_session_options(parser: argparse._ActionsContainer, *names: str) -> None:
+    """Add options by the names of their fields.
+
+    One that ends in `!` must be given; `NAME=VALUE` has another default.
+    """
     for entry in names:
         name, equals, default = entry.rstrip("!").partition("=")
-        option = declared()[name]
-        more = _argument(option)
+        action = _add(parser, name)
         if equals:
-            more |= {"default": default, "help": f"{more['help']} (default {default})"}
-        if entry.endswith("!"):
-            more["required"] = True
-        if later:
-            more["default"] = argparse.SUPPRESS
-        short = [option.metadata["short"]] if "short" in option.metadata else []
-        actions[name] = parser.add_argument(*short, flag(name), **more)
-        if later:
-            off = parser.add_argument(
-                flag(f"no_{name}"),
-                dest=name,
-                action="store_false",
-                default=argparse.SUPPRESS,
-                help=option.metadata.get("off", argparse.SUPPRESS),
-            )
-            actions[f"no_{name}"] = off
-    return actions
+            action.default, action.help = default, f"{action.help} (default {default})"
+        action.required = entry.endswith("!")
+
+
+def _add(parser: argparse._ActionsContainer, name: str, **more: object) -> argparse.Action:
+    option = declared()[name]
+    short = [option.metadata["short"]] if "short" in option.metadata else []
+    return parser.add_argument(*short, flag(name), **(_argument(option) | more))
 
 
 def row_of(option: Field[Any]) -> tuple[str, str]:
@@ -346,10 +349,12 @@ def _argument(option: Field[Any]) -> dict[str, Any]:
 
 def stream_options(args: argparse.Namespace) -> StreamOptions:
     """The options that a command has, all others as they are without; ConfigError."""
-    values = {name: value for name, value in vars(args).items() if name in declared()}
-    return StreamOptions(
-        **{name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
-    )
+    values: Mapping[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in vars(args).items()
+        if name in declared()
+    }
+    return StreamOptions(**values)
 
 
 def radio_change(name_or_file: str) -> Mapping[str, Any]:

@@ -67,6 +67,7 @@ def setup_values(entry: Any, kind: type = Setup, name: str = "") -> Mapping[str,
     """
     values: dict[str, Any] = {}
     hints = get_type_hints(kind)
+    value: Any
     for each in fields(kind):
         key, hint = each.name, hints[each.name]
         inner = get_args(hint)[0] if get_origin(hint) is UnionType else hint
