@@ -150,7 +150,7 @@ def _wanted(wrong: str, name: str, field: Field[Any] | None, holder: type) -> st
     if field is not None and "like" in field.metadata:
         return str(field.metadata["like"])
     if field is not None and wrong.startswith("Invalid enum value"):
-        hint = get_type_hints(holder)[field.name]
+        hint = field.type
         (choices,) = (one for one in (hint, *get_args(hint)) if get_origin(one) is Literal)
         return f"one of {', '.join(get_args(choices))}"
     match = re.match(r"Expected `([a-z]+)", wrong)
@@ -159,7 +159,7 @@ def _wanted(wrong: str, name: str, field: Field[Any] | None, holder: type) -> st
         known = ", ".join(each.name for each in fields(holder))
         return f"a table with {known}: a table [{name}]"
     if expected == "array":
-        hint = None if field is None else get_type_hints(holder)[field.name]
+        hint = None if field is None else field.type
         if any(get_args(each)[:1] in ((str,), (Path,)) for each in (hint, *get_args(hint))):
             return "a list of texts in quotes"
         return f"tables [[{name}]]"

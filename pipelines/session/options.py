@@ -40,7 +40,7 @@ def _group(group: str, *, first: bool) -> Callable[..., Any]:
 
         Without a row it is the common one of that name. more, as metadata: `short`, a second name;
         `bare`, the value of the option without one; `off`, the help of `--no-NAME`; `rivals`, the
-        options that it replaces, and that cannot be given with it.
+        options that it replaces, and that cannot be given with it; `like`, its values in a file.
         """
         default = () if row.startswith("NAME=") else default
         return field(default=default, metadata={"group": group, "row": row, "first": first, **more})
@@ -60,7 +60,9 @@ _session_more, _, _robot_more, _radio_more, _pages_more, _outlets_more = (
 class StreamOptions:
     """What the user asks of a session, by command line and site file."""
 
-    setup: str | Mapping[str, Any] | None = _session("NAME  spacejustin, taskboard or FILE.toml")
+    setup: str | Mapping[str, Any] | None = _session(
+        "NAME  spacejustin, taskboard or FILE.toml", like="a name or a table [setup]"
+    )
     seconds: float | None = _session()
     record: Path | None = _session("FILE.mcap  record the session")
     report: Path | None = _session()
@@ -219,7 +221,8 @@ class StreamOptions:
     )
     files_rate: str | None = _outlets_more(
         "UP,DOWN  the most that files take, in kbit/s from the ground and from space (default "
-        f"{FILES_KBPS}); media always go first"
+        f"{FILES_KBPS}); media always go first",
+        like="two numbers, like [8, 200]",
     )
     service: tuple[str, ...] = _outlets_more(
         "NAME=PORT  lead TCP connections to PORT of this machine to the other end's service NAME; "

@@ -9,11 +9,12 @@ from argparse import Namespace
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from os.path import normpath
 from pathlib import Path
 from typing import Any, get_origin
 
 from kontur_av.errors import ConfigError, refused
-from pipelines.session.options import StreamOptions, declared, flag, hint_of, row_of
+from pipelines.session.options import StreamOptions, declared, flag, hint_of, is_given, row_of
 from pipelines.session.setup.setup_file import BUILT_IN, table_of_setup
 from pipelines.session.setup.setup_text import setup_table
 from pipelines.session.setup.table import Setup
@@ -60,36 +61,32 @@ class SiteOptions:
         rows += [
             (f"setup.{'.'.join(path)}", _shown(value), self._setup_origin(path, value))
             for path, value in _leaves(setup_table(setup))
+            if value != {}
         ]
-        name_width, width = (
-            max(len(row[at]) for row in rows if len(row[at]) < 50) for at in (0, 1)
+        wide, long = (max(len(row[at]) for row in rows if len(row[at]) < 50) for at in (0, 1))
+        return "\n".join(
+            f"{name:<{wide}}  {value:<{long}}  {origin}" for name, value, origin in rows
         )
-        return "\n".join(f"{row[0]:<{name_width}}  {row[1]:<{width}}  {row[2]}" for row in rows)
 
     def _option_rows(self, name: str) -> Iterator[tuple[str, str, str]]:
-        own = {path: one for path, one in self.settings.items() if path[0] == name}
+        own = {path: setting for path, setting in self.settings.items() if path[0] == name}
         for path, setting in own.items():
             if name != "setup" or len(path) == 1:
                 yield ".".join(path), _shown(setting.value), setting.origin
-        default = declared()[name].default
-        if not own and default not in (None, False, ()):
-            yield name, _shown(default), "default"
+        if not own and is_given(self.options, name):
+            yield name, _shown(getattr(self.options, name)), "default"
 
     def _setup_origin(self, path: Name, value: object) -> str:
-        options = [
-            setting.origin
-            for option in _CHANGES.get(path[0], (path[0],))
-            for key in ((option, *path[1:]), (option,))
-            if (setting := self.settings.get(key)) and setting.value is not False
-        ]
-        name, own = self.options.setup, self.settings.get(("setup", *path))
+        """What has set a field of the setup."""
+        options = _CHANGES.get(path[0], path[:1])
+        keys = [(option, *rest) for option in options for rest in (path[1:], ())]
+        name, own = self.options.setup, ("setup", *path)
         in_setup = isinstance(name, str) and path in dict(_leaves(table_of_setup(name)))
-        if options and not (path[0] == "rtc" and (own or in_setup)):
-            return options[0]
-        if own is not None:
-            return own.origin
+        for key in [own, *keys] if path[0] == "rtc" else [*keys, own]:
+            if (setting := self.settings.get(key)) and setting.value is not False:
+                return setting.origin
         if path[0] == "sources" and value != DEFAULT_SCENES.get(path[1]):
-            return "setup" if in_setup and name not in BUILT_IN else f"robot {self.options.robot}"
+            return "setup" if in_setup and name not in BUILT_IN else "robot"
         return "setup" if in_setup else "default"
 
     @contextmanager
@@ -98,37 +95,37 @@ class SiteOptions:
         try:
             yield
         except ConfigError as error:
-            said = [word.strip("'\"()") for word in re.findall(r"[^\s=,;]+", str(error))]
-            said = [word.removesuffix(":") for word in said]
+            said = re.findall(r"[^\s=,;'\"()]*[^\s=,;'\"():]", str(error))
             about = [
-                (*rank, path, setting.origin)
+                (rank, said.index(word), setting.origin, ".".join(shown))
                 for path, setting in self.settings.items()
-                if setting.origin != COMMAND_LINE
-                for rank in _ranks(said, path, setting.value)
+                if setting.origin != COMMAND_LINE and (len(path) == 1 or setting.value is not False)
+                for rank, (word, shown) in enumerate(_words(path, setting.value))
+                if word in said
             ]
             if not about:
                 raise
-            *_, path, origin = min(about)
-            raise ConfigError(f"{origin}: {'.'.join(path)}: {error}") from None
+            *_, origin, shown = min(about)
+            raise ConfigError(f"{origin}: {shown}: {error}") from None
 
 
-def _ranks(said: list[str], path: Name, value: object) -> Iterator[tuple[int, int]]:
-    """How closely these words are about a setting, and where; small is near."""
-    names = [
-        flag(path[0]),
-        ".".join(path[1:]),
-        path[-1 if path[0] != "setup" else min(1, len(path) - 1)],
-    ]
-    for rank, word in enumerate([*names, value]):
-        if word and word in said:
-            yield rank, said.index(str(word))
+def _words(path: Name, value: object) -> Iterator[tuple[str, Name]]:
+    """By which words a message is about a setting, the surest first, and what it is about."""
+    yield flag(path[0]), path
+    yield ".".join(path[1:]), path
+    yield path[1 if path[0] == "setup" and path[1:] else -1], path
+    yield path[-1], path
+    yield str(value), path
+    yield path[0], path[:1]
 
 
 def _shown(value: object) -> str:
     """A value in one line, without the password of an address."""
     if isinstance(value, bool):
         return "on" if value else "off"
-    text = " ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    if isinstance(value, list | tuple):
+        text = " ".join(map(str, value))
     return _PASSWORD.sub("…", text) or "on"
 
 
@@ -150,11 +147,12 @@ def _options(settings: Mapping[Name, Setting], site: Path | None) -> StreamOptio
     values: dict[str, Any] = {}
     for (name, *inner), setting in settings.items():
         value = setting.value
-        if value is False and name != "setup" and bool not in hint_of(name):
+        in_setup = name == "setup" and inner
+        if value is False and not in_setup and bool not in hint_of(name):
             continue
         if not inner:
             values[name] = value
-        elif name != "setup":
+        elif not in_setup:
             text = inner[0] if value is None else f"{inner[0]}={value}"
             values[name] = (*values.get(name, ()), text)
         else:
@@ -175,7 +173,7 @@ def _read(path: Path, including: tuple[Path, ...] = ()) -> dict[Name, Setting]:
     with refused(path, ConfigError):
         if not (isinstance(names, list) and all(isinstance(name, str) for name in names)):
             raise ConfigError(f"include must be a file or a list of files in quotes, not {names!r}")
-        files = [path.parent / Path(name).expanduser() for name in names]
+        files = [Path(normpath(path.parent / Path(name).expanduser())) for name in names]
         for file in files:
             if file.resolve() in including:
                 raise ConfigError(f"include {file}: it includes this file; take one of them out")
@@ -233,9 +231,10 @@ def _plain(name: str, value: Any) -> Any:
     if value is True and "bare" in option.metadata:
         return option.metadata["bare"]
     if isinstance(value, Mapping) and what.startswith("NAME="):
-        texts = {key: one for key, one in value.items() if one is not False}
-        if all(isinstance(one, str | int) and one is not True for one in texts.values()):
-            return [f"{key}={one}" for key, one in texts.items()]
+        for key, text in value.items():
+            if not isinstance(text, str | int) or text is True:
+                raise ConfigError(f"{name}.{key} must be a text in quotes, not {text!r}")
+        return [f"{key}={text}" for key, text in value.items() if text is not False]
     if type(value) is int and what.endswith("PORT"):
         return str(value)
     if isinstance(value, list) and "," in what:
@@ -276,8 +275,9 @@ def _placed(path: Name, value: Any, folder: Path) -> Any:
         return tuple(_placed(path, one, folder) for one in value)
     if isinstance(value, Path):
         return folder / value.expanduser()
-    in_setup = path[:2] in (("setup", "sources"), ("setup", "radio"))
-    if not isinstance(value, str) or not (in_setup or declared()[path[0]].metadata.get("spec")):
+    what, _ = row_of(declared()[path[0]])
+    in_setup = path[0] != "setup" or path[1:2] in ((), ("sources",), ("radio",))
+    if not (isinstance(value, str) and in_setup and what.endswith(("NAME", "SPEC", "PROFILE"))):
         return value
     if match := _WITH_FILE.fullmatch(value):
         return match[1] + str(folder / Path(match[2]).expanduser())
