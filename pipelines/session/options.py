@@ -279,7 +279,7 @@ def add_grouped_options(parser: argparse.ArgumentParser) -> None:
 
     They have no defaults here, because a site file may give a value. `--no-NAME` takes it back.
     """
-    unset: dict[str, Any] = {"default": argparse.SUPPRESS}
+    unset: Mapping[str, Any] = {"default": argparse.SUPPRESS}
     short, _ = (
         parser.add_argument(*names, action=_Help, nargs=0, help=text, **unset)
         for names, text in (
@@ -316,7 +316,7 @@ def add_session_options(parser: argparse._ActionsContainer, *names: str) -> None
 def _add(parser: argparse._ActionsContainer, name: str, **more: object) -> argparse.Action:
     option = declared()[name]
     short = [option.metadata["short"]] if "short" in option.metadata else []
-    return parser.add_argument(*short, flag(name), **(_argument(option) | more))
+    return parser.add_argument(*short, flag(name), **{**_argument(option), **more})
 
 
 def row_of(option: Field[Any]) -> tuple[str, str]:
@@ -326,28 +326,24 @@ def row_of(option: Field[Any]) -> tuple[str, str]:
     return " ".join(word for word in head.split() if not word.startswith(("-", "<"))), text
 
 
-def _argument(option: Field[Any]) -> dict[str, Any]:
+def _argument(option: Field[Any]) -> Mapping[str, Any]:
     """What `add_argument` takes for an option, besides its names."""
     metavar, text = row_of(option)
     kind = hint_of(option.name)[0]
     if kind is bool:
         return {"action": "store_true", "help": text}
-    more: dict[str, Any] = {"help": text, "default": option.default, "metavar": metavar or None}
-    if get_origin(kind) is tuple:
-        bare = "bare" in option.metadata
-        return (
-            more
-            | ({"nargs": "*"} if bare else {"action": "append"})
-            | {
-                "type": get_args(kind)[0],
-                "default": None if bare else [],
-            }
-        )
-    if "bare" in option.metadata:
-        more |= {"nargs": "?", "const": option.metadata["bare"]}
+    more: Mapping[str, Any] = {"help": text, "metavar": metavar or None, "default": option.default}
     if get_origin(kind) is Literal:
-        return more | {"choices": get_args(kind)}
-    return more | {"type": kind}
+        more = {**more, "choices": get_args(kind)}
+    elif get_origin(kind) is not tuple:
+        more = {**more, "type": kind}
+    elif "bare" in option.metadata:
+        return {**more, "nargs": "*", "type": get_args(kind)[0]}
+    else:
+        return {**more, "action": "append", "default": []}
+    if "bare" in option.metadata:
+        more = {**more, "nargs": "?", "const": option.metadata["bare"]}
+    return more
 
 
 def stream_options(args: argparse.Namespace) -> StreamOptions:
@@ -366,13 +362,12 @@ def radio_change(name_or_file: str) -> Mapping[str, Any]:
 
 def setup_changes(options: StreamOptions) -> Mapping[str, Any]:
     """What the options change in the setup."""
-    changes: dict[str, Any] = {}
+    changes = {name: getattr(options, name) for name in ("base_port", "deadband", "hand")}
     if options.radio is not None:
         changes |= radio_change(options.radio)
-    if options.radio_delay_ms is not None:
+    elif options.radio_delay_ms is not None:
         changes |= {"radio": NO_RADIO, "radio_delay_ms": options.radio_delay_ms}
-    same = {name: getattr(options, name) for name in ("base_port", "deadband", "hand")}
-    return changes | {name: value for name, value in same.items() if value is not None}
+    return {name: value for name, value in changes.items() if value is not None}
 
 
 def asked_setup(options: StreamOptions) -> Setup:

@@ -65,7 +65,7 @@ def setup_values(entry: Any, kind: type = Setup, name: str = "") -> Mapping[str,
 
     name: of the stream. Raises ConfigError for a size that is none.
     """
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     hints = get_type_hints(kind)
     value: Any
     for each in fields(kind):
@@ -104,7 +104,7 @@ def setup_table(setup: Setup) -> Mapping[str, Any]:
 
 
 def _written(thing: Any) -> Mapping[str, Any]:
-    table: dict[str, Any] = {}
+    table: dict[str, object] = {}
     for each in fields(thing):
         key, value = each.name, getattr(thing, each.name)
         if value is None or key == "height" or (key == "name" and not isinstance(thing, Setup)):
