@@ -3,7 +3,6 @@
 `PacketBridge` decides; this module has the sockets and topics.
 """
 
-import argparse
 import fcntl
 import re
 import socket
@@ -38,7 +37,7 @@ from pipelines.session.datagrams import (
     outlet,
     resolve,
 )
-from pipelines.session.option_rows import add_options
+from pipelines.session.options import StreamOptions
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.session_metrics import SampleNumbers
 from pipelines.session.setup.segments import Direction
@@ -95,21 +94,8 @@ class PacketsOptions(NamedTuple):
     udp: bool
 
 
-def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        f"{_OPTION} tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and "
-        "take its telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at "
-        "PORT + 1",
-        "--packets-allow WHAT <*>  telecommands that may come by --packets: APPLICATION, "
-        "APPLICATION.FUNCTION or all; repeatable (default: questions alone)",
-        f"{_FRAMES} udp:HOST:PORT  send copies of the radio link's frames to another ground "
-        "system: the downlink's to PORT, the uplink's to PORT + 1",
-    )
-
-
 def checked_packets(
-    args: argparse.Namespace, topology: Topology
+    args: StreamOptions, topology: Topology
 ) -> AbstractContextManager[PacketsPlan | None]:
     """Return what the options ask for, to bind its socket; ConfigError if that cannot be."""
     if args.packets is None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.files.file_requests import ENTITIES, RATES_BPS
+from pipelines.files.file_requests import ENTITIES
 from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptics import JoystickEnd
 from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
@@ -23,6 +23,7 @@ from pipelines.mission.tmtc_messages import (
     plain_fields,
 )
 from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickSource, RobotSource
+from pipelines.session.options import FILES_BPS
 from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import LinkMeanwhile
@@ -314,7 +315,7 @@ class SimulatedFiles:
                 entity=ENTITIES[segment],
                 peer=ENTITIES[segment.peer],
                 first_number=0,
-                rate_bps=RATES_BPS[segment],
+                rate_bps=FILES_BPS[segment],
                 now_ns=scene.start_ns,
                 delay_ns=scene.setup.radio_profile.longest_delay_ns,
             )
