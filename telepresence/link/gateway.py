@@ -17,7 +17,6 @@ incomplete packets, and start and stop delivery. They also say when headers must
 A `BacklogReporter` says what a gateway reports to senders of video and files, and when.
 """
 
-import struct
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -323,9 +322,6 @@ REPEAT_NS = 500 * NS_PER_MS
 #: `Backlog.freed_bps` is rounded down to a multiple of this, so that not every slot is a change.
 FREED_STEP_BPS = 1_000
 
-_LAYOUT = struct.Struct("=qq?qq")
-BACKLOG_OCTETS = _LAYOUT.size
-
 
 class Backlog(NamedTuple):
     """The state of a gateway's way out, for the senders of video and of files.
@@ -342,15 +338,6 @@ class Backlog(NamedTuple):
     peer_heard: bool
     freed_bps: int
     maintenance_octets: int = 0
-
-    def pack(self) -> bytes:
-        """`BACKLOG_OCTETS` octets for another process of the same machine."""
-        return _LAYOUT.pack(*self)
-
-    @classmethod
-    def unpack(cls, data: bytes) -> "Backlog":
-        """What `pack` packed."""
-        return cls(*_LAYOUT.unpack(data))
 
 
 class BacklogReporter:

@@ -11,12 +11,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.modular import serial_difference
 from telepresence.link.octet_streams import IncomingOctets, OutgoingOctets
-from telepresence.services.datagrams import (
-    PART_OCTETS,
-    OpenService,
-    ResetReason,
-    StreamPart,
-)
+from telepresence.services.datagrams import PART_OCTETS, OpenService, ResetReason, StreamPart
 
 #: The most octets kept for each direction, and on their way in it.
 WINDOW_OCTETS = 4096

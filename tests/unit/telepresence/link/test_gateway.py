@@ -541,8 +541,3 @@ def test_a_picture_that_a_telecommand_interrupts_counts_until_it_has_left():
     after = [(slot, octets) for slot, octets in waiting if 16 < slot < last]
     assert len(after) > 5
     assert all(abs(octets - 12 * (last - slot)) < 60 for slot, octets in after)
-
-
-def test_a_backlog_crosses_processes_as_it_is():
-    backlog = Backlog(1 << 40, 3, True, 96_000, 7)
-    assert Backlog.unpack(backlog.pack()) == backlog
