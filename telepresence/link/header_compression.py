@@ -3,8 +3,8 @@
 Whole headers are the only references: one each 1.6 s, and several at the start. The receiver
 restores a header from the newest reference that it holds, as in ROHC's unidirectional mode (RFC
 5795). The sender knows all references that this may be: those sent within `LIFE_NS`. It compresses
-a header only if *each* of them restores exactly this header, by the receiver's arithmetic. No packet
-depends on the one before, and nothing is acknowledged. No loss can corrupt a header.
+a header only if *each* of them restores exactly this header, by the receiver's arithmetic. No
+packet depends on the one before, and nothing is acknowledged. No loss can corrupt a header.
 
 Both ends count frames, so the time since the reference predicts sequence number and timestamp. The
 low bits in a compressed header choose the only value with these bits in a window around it.
