@@ -9,7 +9,7 @@ from pipelines.commands.live_session import made_directory
 from pipelines.mission.mission import TaskOptions
 from pipelines.session.datagrams import split_address
 from pipelines.session.option_rows import refuse_options
-from pipelines.session.options import StreamOptions, asked_setup, declared, is_given
+from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
 from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology import (
     JOYSTICK,
@@ -73,7 +73,7 @@ def asked_topology(
     asked = {
         field.name: is_given(args, field.name) if field.type is bool else getattr(args, field.name)
         for field in fields(SessionOptions)
-        if field.name in declared()
+        if field.name in OPTIONS
     }
     pages = args.page is not False
     asked |= {"pages": pages, "recorder": True, "tasks": tasks, "components": components}

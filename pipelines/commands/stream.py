@@ -30,7 +30,7 @@ from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.options import add_grouped_options
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
-from pipelines.session.site_file import SiteOptions, site_options
+from pipelines.session.site_file import SiteOptions, blamed, site_options
 from pipelines.session.terminals import write_request
 from pipelines.session.topology import RECORDER, Segment
 
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the session; 1 if its report names a failure."""
     site = site_options(args)
     keep_words_apart(site.options)
-    with site.blamed():
+    with blamed(site.settings):
         return _run(site, dry=args.explain)
 
 

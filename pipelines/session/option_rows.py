@@ -43,6 +43,9 @@ COMMON_ROWS = {
         "--report FILE <Path>  write the report as JSON",
         "--base-port P <int>  first of the 40 UDP ports",
         "-q, --quiet  show nothing but mistakes",
+        "--recode  code the recorded pictures anew, by the session's encoder",
+        "--cap-kbps STREAM=KBPS <*>  another cap for a replayed stream, like uplink_video=60; "
+        "repeatable",
     )
 }
 
