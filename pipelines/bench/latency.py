@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
@@ -141,17 +140,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_session_options(parser, "setup=spacejustin")
     add_options(parser, "--seconds S <float=20.0>  of virtual time (default 20)")
     live = parser.add_mutually_exclusive_group()
-    live.add_argument(
-        "--live-seconds", type=float, default=20.0, metavar="S", help="of real time (default 20)"
+    add_options(
+        live,
+        "--live-seconds S <float=20.0>  of real time (default 20)",
+        "--no-live  virtual time only",
     )
-    live.add_argument("--no-live", action="store_true", help="virtual time only")
     add_session_options(parser, "radio=clean", "deadband")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's losses")
-    parser.add_argument(
-        "--base-port", type=int, default=27_000, metavar="P", help="of the live run"
+    add_options(
+        parser,
+        "--seed N <int=1>  of the radio's losses",
+        "--base-port P <int=27000>  of the live run",
+        "--report",
+        "--plot FILE <Path>  draw the lead's terms as PNG",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the lead's terms as PNG")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -228,8 +228,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "given several times",
         "--roi X,Y,W,H  where the LED is, in pixels of the file; default all",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the skews as PNG")
+    add_options(parser, "--report", "--plot FILE <Path>  draw the skews as PNG")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
 def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
     """The listener, with a certificate where it needs one, and its addresses printed."""
     token = token_of(args) or secrets.token_urlsafe(24)
-    options = bound_server(args.http, _SEAT, "--http", args.cert)
+    options = bound_server(args.http, _SEAT, option="--http", certificate=args.cert)
     with (
         TemporaryDirectory(prefix="kontur-rtc-") as folder,
         served(options, Path(folder), _SEAT) as (found, made),

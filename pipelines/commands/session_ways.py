@@ -74,7 +74,7 @@ def bound_rtc(args: StreamOptions, setup: Setup, segments: Sequence[Segment]) ->
     )
     if hand_token == token:
         raise ConfigError("--rtc-hand-token-file: write another token than --rtc-token-file has")
-    server = bound_server(args.rtc or RTC_PORT, RTC, "--rtc", args.page_cert)
+    server = bound_server(args.rtc or RTC_PORT, RTC, option="--rtc", certificate=args.page_cert)
     people = {} if setup.partner_arm == "none" else {HAND_TOKEN: hand_token}
     return [partial(_announced_rtc, server, token, people, quiet=args.quiet)]
 
@@ -127,7 +127,7 @@ def _bound_metrics(args: StreamOptions) -> _Announced:
     """Bind what the option asks for; ConfigError if that cannot be."""
     if find_spec("prometheus_client") is None:
         raise ConfigError("--metrics needs prometheus-client: pip install 'kontur-av[metrics]'")
-    server = bound_server(args.metrics, METRICS, "--metrics")
+    server = bound_server(args.metrics, METRICS, option="--metrics")
     return partial(_announced_metrics, server, quiet=args.quiet)
 
 
@@ -206,7 +206,7 @@ class SessionWays:
         if args.metrics is not None:
             self._servers.append(_bound_metrics(args))
         if args.foxglove is not None:
-            server = bound_server(args.foxglove, FOXGLOVE, "--foxglove")
+            server = bound_server(args.foxglove, FOXGLOVE, option="--foxglove")
             self._servers.append(partial(_announced_foxglove, server, quiet=args.quiet))
 
     @contextmanager
@@ -216,7 +216,12 @@ class SessionWays:
         with (
             bound_services(self._services, self._files) as maintenance,
             announced_pages(
-                self._pages, session, quiet=quiet, tasks=options.tasks, trainer=options.trainer
+                self._pages,
+                session,
+                quiet=quiet,
+                browser=self._args.open,
+                tasks=options.tasks,
+                trainer=options.trainer,
             ) as pages,
             ExitStack() as opened,
             self._packets as packets,

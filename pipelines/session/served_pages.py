@@ -57,13 +57,6 @@ class ServerOptions:
     certificate: Path | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class PageOptions(ServerOptions):
-    """The pages, by the seats' names. browser: whether to open the first in one."""
-
-    browser: bool = False
-
-
 def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]:
     """Return host and first port of `option`; ConfigError if `text` is not [HOST:]PORT."""
     if text is None:
@@ -80,13 +73,13 @@ def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]
 
 
 def bound_server(
-    text: str | None, name: str, option: str = "--page", certificate: Path | None = None
+    text: str | None, *names: str, option: str = "--page", certificate: Path | None = None
 ) -> ServerOptions:
-    """Bind the one listener `name` at `text`, as of `parse_page`; ConfigError if that cannot be."""
+    """Bind these listeners from `text` on, as of `parse_page`; ConfigError if that cannot be."""
     host, port = parse_page(text, option)
     if certificate is not None:
         check_certificate(certificate)
-    return ServerOptions(host=host, sockets=bind_pages(host, port, [name]), certificate=certificate)
+    return ServerOptions(host=host, sockets=bind_pages(host, port, names), certificate=certificate)
 
 
 @contextmanager
@@ -109,10 +102,11 @@ def served(
 
 @contextmanager
 def announced_pages(
-    options: PageOptions | None,
+    options: ServerOptions | None,
     session: str,
     *,
     quiet: bool,
+    browser: bool = False,
     tasks: bool = False,
     trainer: bool = False,
 ) -> Iterator[Mapping[str, PageListener]]:
@@ -120,7 +114,7 @@ def announced_pages(
 
     It leads to every page. Each page's own address is in `pages.json` in the session's directory,
     for programs of this user.
-    tasks, trainer: whether the session has any.
+    browser: whether to open the first in one. tasks, trainer: whether the session has any.
     """
     if options is None:
         yield {}
@@ -144,7 +138,7 @@ def announced_pages(
             if made:
                 lines.append(f"certificate made for this session, SHA-256 {made}")
             say("\n".join(lines))
-        if options.browser:
+        if browser:
             _open_in_browser(address, root)
         yield {PAGES[Segment(name)]: listener for name, listener in seats.items()}
 
@@ -190,7 +184,7 @@ def write_private(path: Path, text: str) -> None:
     unready.rename(path)
 
 
-def bound_pages(args: StreamOptions, segments: Sequence[Segment] = _SEATS) -> PageOptions | None:
+def bound_pages(args: StreamOptions, segments: Sequence[Segment] = _SEATS) -> ServerOptions | None:
     """Bind what the options ask for; None without pages. segments: those that run here.
 
     Raises ConfigError for options that contradict each other, for an address that cannot be had,
@@ -202,11 +196,6 @@ def bound_pages(args: StreamOptions, segments: Sequence[Segment] = _SEATS) -> Pa
         if args.joystick == "page":
             raise ConfigError(f"--joystick page{why}")
         return None
-    host, port = parse_page(args.page if isinstance(args.page, str) else None)
-    if args.page_cert is not None:
-        check_certificate(args.page_cert)
     seats = [segment.value for segment in _SEATS if segment in segments]
-    sockets = bind_pages(host, port, seats)
-    return PageOptions(
-        host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open)
-    )
+    text = args.page if isinstance(args.page, str) else None
+    return bound_server(text, *seats, certificate=args.page_cert)

@@ -16,8 +16,9 @@ from pipelines.session.served_pages import announced_pages, bound_pages, parse_p
 
 @contextmanager
 def announced(*words, quiet=False):
-    args = make_parser("stream").parse_args(["stream", "--setup", "taskboard", *words])
-    with announced_pages(bound_pages(stream_options(args)), "taskboard-1", quiet=quiet) as pages:
+    args = stream_options(make_parser("stream").parse_args(["stream", *words]))
+    bound = bound_pages(args)
+    with announced_pages(bound, "taskboard-1", quiet=quiet, browser=args.open) as pages:
         yield pages
 
 
