@@ -14,7 +14,6 @@ from kontur_av.topics.session_files import sessions
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.rtc_options import (
     ICE,
-    add_token_arguments,
     ice_servers_of,
     token_of,
 )
@@ -52,9 +51,8 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
         f"--base-port P <port={Setup.base_port}>  of this user's session",
         "--rtc URL  a session across the Internet: what `stream --rtc` prints, up to the port",
     )
-    add_token_arguments(parser)
-    add_session_options(parser, *ICE)
-    add_options(parser, "--seconds")
+    add_options(parser, "--token", "--token-file")
+    add_session_options(parser, *ICE, "seconds")
 
 
 def drive(args: argparse.Namespace) -> int:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from kontur_av.errors import ConfigError
-from pipelines.link.own_ends import EndChoice, chosen_end
+from pipelines.link.own_ends import PeerPlan, chosen_end
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import StreamOptions
 from pipelines.session.setup.table import Setup
@@ -17,7 +17,7 @@ def inputs_here(topology: Topology) -> tuple[str, ...]:
     return tuple(row.name for row in topology.inputs if topology.runs(row.process))
 
 
-def ends_here(args: StreamOptions, setup: Setup) -> tuple[Topology, EndChoice | None]:
+def ends_here(args: StreamOptions, setup: Setup) -> tuple[Topology, PeerPlan | None]:
     """The table of the ends that run here, and the only one if it is alone.
 
     ConfigError for the first option of `stream` that belongs to the other end.

@@ -9,12 +9,9 @@ from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options
 from pipelines.commands.rtc_options import (
     ICE,
-    add_redirect_argument,
-    add_token_arguments,
 )
 from pipelines.commands.rtc_running import (
-    add_run_arguments,
-    add_sending_arguments,
+    SENDING,
     coded_sources,
     keep,
     keeper_of,
@@ -23,16 +20,14 @@ from pipelines.commands.rtc_running import (
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcCommandReport, RtcPeer
 from pipelines.report.report_file import end_with
+from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_session_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--whip", metavar="URL", required=True, help="the endpoint (RFC 9725)")
-    add_token_arguments(parser)
-    add_redirect_argument(parser)
-    add_sending_arguments(parser)
-    add_session_options(parser, *ICE)
-    add_run_arguments(parser)
+    add_options(parser, "--token", "--token-file", "--token-origin", *SENDING)
+    add_session_options(parser, *ICE, "seconds", "report")
 
 
 def run(args: argparse.Namespace) -> int:

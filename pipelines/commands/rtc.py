@@ -14,15 +14,13 @@ from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
 from pipelines.commands.rtc_options import (
     ICE,
-    add_token_arguments,
     ice_servers_of,
     token_of,
 )
 from pipelines.commands.rtc_running import (
+    OUTPUT,
+    SENDING,
     PartnerOutput,
-    add_output_arguments,
-    add_run_arguments,
-    add_sending_arguments,
     coded_sources,
     driven,
     sends_of,
@@ -31,7 +29,7 @@ from pipelines.partner.peer import Programme, RtcCommandReport, connection_repor
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
 from pipelines.session.command_process import say
-from pipelines.session.option_rows import add_actions
+from pipelines.session.option_rows import add_actions, add_options
 from pipelines.session.options import add_session_options, stream_options
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import base_url, bound_server, served
@@ -48,11 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cert FILE <Path>  PEM file with certificate and key (default: made for this run)",
     )
     serve = add_actions(parser, {"serve": rows})["serve"]
-    add_token_arguments(serve)
-    add_sending_arguments(serve)
-    add_output_arguments(serve)
-    add_session_options(serve, *ICE)
-    add_run_arguments(serve)
+    add_options(serve, "--token", "--token-file", *SENDING, *OUTPUT)
+    add_session_options(serve, *ICE, "seconds", "report")
 
 
 def run(args: argparse.Namespace) -> int:

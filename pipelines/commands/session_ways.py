@@ -15,7 +15,7 @@ from kontur_av.topics.session_files import session_root
 from pipelines.commands.live_session import made_directory
 from pipelines.commands.rtc_options import ice_servers_of
 from pipelines.files.process_files import FilesPlan
-from pipelines.files.service_sockets import bound_services, services_options
+from pipelines.files.service_sockets import bound_services, checked_services
 from pipelines.packets.process_packets import checked_packets, parse_frames
 from pipelines.session.command_process import say
 from pipelines.session.options import FILES_BPS, FILES_KBPS, RTC_PORT, StreamOptions
@@ -199,7 +199,7 @@ class SessionWays:
             RTC: {"servers": ice_servers_of(args)},
         }
         self._packets = checked_packets(args, topology)
-        self._services = services_options(args, segments)
+        checked_services(args, segments)
         self._files = files_arguments(args, segments, make=not dry)
         self._pages = bound_pages(args, segments)
         self._servers = bound_rtc(args, setup, segments)
@@ -214,7 +214,7 @@ class SessionWays:
         """Print the addresses, and yield what the processes get; at the end all is closed."""
         quiet, options = self._args.quiet, self._topology.options
         with (
-            bound_services(self._services, self._files) as maintenance,
+            bound_services(self._args, self._files, self._topology.segments) as maintenance,
             announced_pages(
                 self._pages,
                 session,

@@ -93,7 +93,7 @@ def _run(site: SiteOptions, *, dry: bool) -> int:
     collector = Collector(topology)
     if end is not None and not args.quiet:
         say(path_line(end))
-    peer = {} if end is None else {topology.gateway(end.segment).name: {"peer": end.plan}}
+    peer = {} if end is None else {topology.gateway(end.segment).name: {"peer": end}}
     with (
         hold_session(setup.name, end="" if end is None else end.segment.value) as session,
         ways.opened(session) as (listeners, arguments),

@@ -9,13 +9,10 @@ from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
 from pipelines.commands.rtc_options import (
     ICE,
-    add_redirect_argument,
-    add_token_arguments,
 )
 from pipelines.commands.rtc_running import (
+    OUTPUT,
     PartnerOutput,
-    add_output_arguments,
-    add_run_arguments,
     keep,
     keeper_of,
 )
@@ -28,11 +25,8 @@ from pipelines.session.options import add_session_options
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--whep URL <!>  the endpoint (draft-ietf-wish-whep)")
-    add_token_arguments(parser)
-    add_redirect_argument(parser)
-    add_output_arguments(parser)
-    add_session_options(parser, *ICE)
-    add_run_arguments(parser)
+    add_options(parser, "--token", "--token-file", "--token-origin", *OUTPUT)
+    add_session_options(parser, *ICE, "seconds", "report")
 
 
 def run(args: argparse.Namespace) -> int:
