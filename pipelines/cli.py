@@ -110,12 +110,7 @@ def make_parser(only: str | None = None) -> argparse.ArgumentParser:
         epilog=_HELP,
     )
     parser.add_argument("--version", action="version", version=f"kontur-av {__version__}")
-    commands = parser.add_subparsers(
-        dest="command",
-        required=True,
-        metavar="COMMAND",
-        help="one of those below; `kontur-av COMMAND --help` has its options",
-    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, text in _COMMANDS.items():
         # `stream` has a short help of its own.
         command = commands.add_parser(name, description=text, add_help=name != "stream")

@@ -3,7 +3,7 @@
 import argparse
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
@@ -15,14 +15,7 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_session
 from pipelines.report.charts import check_plot, lead_chart, save
 from pipelines.report.journeys import STAGES
-from pipelines.report.model import (
-    ContentSkew,
-    Ranks,
-    SessionReport,
-    SkewReport,
-    Spread,
-    VideoLead,
-)
+from pipelines.report.model import ContentSkew, Ranks, SessionReport, SkewReport, Spread, VideoLead
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, titled_table
 from pipelines.report.sync_metrics import LIMITS
@@ -30,7 +23,9 @@ from pipelines.report.terms import TERMS
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import (
     add_session_options,
-    radio_change,
+    asked_setup,
+    setup_changes,
+    stream_options,
 )
 from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.setup.table import Setup
@@ -250,15 +245,10 @@ def _headlines(
 
 def _setups(args: argparse.Namespace) -> list[Setup]:
     """The chosen setup first, then the other built-in ones, all with the chosen radio."""
-    chosen = load_setup(args.setup)
-    others = [setup for name, setup in BUILT_IN.items() if name != chosen.name]
-    changes = dict(radio_change(args.radio))
-    if args.deadband is not None:
-        changes["deadband"] = args.deadband
-    # Check the port of the live run before anything is measured.
-    first = replace(chosen, base_port=args.base_port, **changes)
+    options = stream_options(args)
+    first, changes = asked_setup(options), setup_changes(options)
     check_virtual_sources(first)
-    return [first, *(replace(setup, **changes) for setup in others)]
+    return [first, *(load_setup(name, changes=changes) for name in BUILT_IN if name != first.name)]
 
 
 def _heading(args: argparse.Namespace, setup: Setup) -> str:

@@ -12,11 +12,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
 from pipelines.commands.common import say_unprotected
-from pipelines.commands.rtc_options import (
-    ICE,
-    ice_servers_of,
-    token_of,
-)
+from pipelines.commands.rtc_options import ICE, ice_servers_of, token_of
 from pipelines.hand.haptic_loop import new_boot_id
 from pipelines.hand.partner_arm import run_side, told
 from pipelines.partner.whip import Far
@@ -50,8 +46,9 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         f"--base-port P <port={Setup.base_port}>  of this user's session",
         "--rtc URL  a session across the Internet: what `stream --rtc` prints, up to the port",
+        "--token",
+        "--token-file",
     )
-    add_options(parser, "--token", "--token-file")
     add_session_options(parser, *ICE, "seconds")
 
 

@@ -7,16 +7,8 @@ import time
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options
-from pipelines.commands.rtc_options import (
-    ICE,
-)
-from pipelines.commands.rtc_running import (
-    SENDING,
-    coded_sources,
-    keep,
-    keeper_of,
-    sends_of,
-)
+from pipelines.commands.rtc_options import ICE
+from pipelines.commands.rtc_running import SENDING, coded_sources, keep, keeper_of, sends_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcCommandReport, RtcPeer
 from pipelines.report.report_file import end_with
@@ -25,8 +17,8 @@ from pipelines.session.options import add_session_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--whip", metavar="URL", required=True, help="the endpoint (RFC 9725)")
-    add_options(parser, "--token", "--token-file", "--token-origin", *SENDING)
+    row = "--whip URL <!>  the endpoint (RFC 9725)"
+    add_options(parser, row, "--token", "--token-file", "--token-origin", *SENDING)
     add_session_options(parser, *ICE, "seconds", "report")
 
 

@@ -12,11 +12,7 @@ from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.rtc_options import (
-    ICE,
-    ice_servers_of,
-    token_of,
-)
+from pipelines.commands.rtc_options import ICE, ice_servers_of, token_of
 from pipelines.commands.rtc_running import (
     OUTPUT,
     SENDING,

@@ -17,11 +17,7 @@ from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.commands.rtc_options import ice_servers_of, token_of
 from pipelines.media.rtp_reports import latency_ms
-from pipelines.media.sending import (
-    check_alone,
-    open_pictures,
-    open_sound,
-)
+from pipelines.media.sending import check_alone, open_pictures, open_sound
 from pipelines.partner.coded_sources import CodedSources
 from pipelines.partner.decisions import LEAST_BPS
 from pipelines.partner.description import Kind

@@ -11,10 +11,7 @@ from kontur_av.rtp.sdp import write_sdp
 from kontur_av.streams.feeds import describe
 from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import check_options
-from pipelines.media.sending import (
-    SendShell,
-    open_feed,
-)
+from pipelines.media.sending import SendShell, open_feed
 from pipelines.report.report_file import check_writable, end_with, write_text
 from pipelines.session.datagrams import check_reachable, parse_address
 from pipelines.session.option_rows import add_options

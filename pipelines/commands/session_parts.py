@@ -11,22 +11,10 @@ from pipelines.session.datagrams import split_address
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
 from pipelines.session.setup.table import RtcLeg, Setup
-from pipelines.session.topology import (
-    JOYSTICK,
-    PAGES,
-    TASKS,
-    Segment,
-    SessionOptions,
-    Topology,
-)
+from pipelines.session.topology import JOYSTICK, PAGES, TASKS, Segment, SessionOptions, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.specs import (
-    capabilities_of,
-    check_joystick,
-    check_robot,
-    is_simulated,
-)
+from telepresence.haptics.specs import capabilities_of, check_joystick, check_robot, is_simulated
 from telepresence.tasks.task_files import load_plan, load_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.telemetry_source import Component, load_components

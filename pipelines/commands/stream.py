@@ -27,6 +27,7 @@ from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.command_process import keep_words_apart, print_data, say
 from pipelines.session.kept_files import keep_latch
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
+from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_grouped_options
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
@@ -37,17 +38,10 @@ from pipelines.session.topology import RECORDER, Segment
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
-    parser.add_argument(
-        "site",
-        nargs="?",
-        type=Path,
-        metavar="FILE.toml",
-        help="a site file: any of the options below (docs/setups.md)",
-    )
-    parser.add_argument(
-        "--explain",
-        action="store_true",
-        help="print what the session would run with, and where each value comes from",
+    add_options(
+        parser,
+        "site FILE.toml <Path?>  a site file: any of the options below (docs/setups.md)",
+        "--explain  print what the session would run with, and where each value comes from",
     )
     add_grouped_options(parser)
 
@@ -124,4 +118,4 @@ def _run(site: SiteOptions, *, dry: bool) -> int:
         )
         launcher.run(args.seconds)
     held.close()
-    return end_session(collector, launcher, report_file=args.report, quiet=args.quiet)
+    return end_session(args, collector, launcher)

@@ -10,12 +10,7 @@ from math import ceil
 from typing import Literal, get_args, get_origin
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.coding import (
-    PREFERENCES,
-    Preference,
-    coded_rate_for,
-    coded_size_for,
-)
+from kontur_av.codecs.coding import PREFERENCES, Preference, coded_rate_for, coded_size_for
 from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
