@@ -44,16 +44,11 @@ def _check_own_options(args: StreamOptions, topology: Topology, end: Segment) ->
                 f"--source {option}: {name} is captured at --end {end.peer.value}; "
                 f"this end has {', '.join(here) or 'no input'}"
             )
-    _check_radio(topology.setup, end, trainer=args.trainer)
-    if args.bypass:
-        raise ConfigError("--bypass: both ends must be here; leave --end out")
-
-
-def _check_radio(setup: Setup, end: Segment, *, trainer: bool) -> None:
-    """ConfigError for a radio that changes with time: two ends would have two times for it."""
-    radio = setup.radio_profile
-    if radio.timed and not (trainer and end is Segment.SPACE):
+    radio = topology.setup.radio_profile
+    if radio.timed and not (args.trainer and end is Segment.SPACE):
         raise ConfigError(
             f"radio {radio.name} changes with time, and both ends would have a time of their own: "
             "give it at --end space with --trainer, and none at --end ground"
         )
+    if args.bypass:
+        raise ConfigError("--bypass: both ends must be here; leave --end out")

@@ -1,6 +1,5 @@
 """How people and other programs reach a session: pages, a partner, outlets, packets and files."""
 
-import json
 import os
 import re
 import secrets
@@ -22,13 +21,13 @@ from pipelines.session.options import FILES_BPS, FILES_KBPS, RTC_PORT, StreamOpt
 from pipelines.session.page_sockets import HAND_TOKEN, PageListener, listeners
 from pipelines.session.served_pages import (
     ServerOptions,
+    announce,
     announced_pages,
     base_url,
     bound_pages,
     bound_server,
     parse_page,
     served,
-    write_private,
 )
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import (
@@ -93,12 +92,8 @@ def _announced_rtc(
         page = listener.url(RTC)
         kept = {"page": page, "base": base_url(listener, RTC), "token": token}
         kept |= {f"{name}_token": hand_token for name, hand_token in people.items()}
-        write_private(root / "rtc.json", json.dumps(kept, indent=1) + "\n")
         lines = [f"partner {page}", *(f"its token to steer: {token}" for token in people.values())]
-        if made:
-            lines.append(f"its certificate was made for this session: {made}")
-        if not quiet:
-            say("\n".join(lines))
+        announce(root / "rtc.json", kept, lines, made, quiet=quiet)
         yield {RTC: listener}
 
 
@@ -115,11 +110,9 @@ def _announced_foxglove(
         listener = by_name[FOXGLOVE]
         url = listener.url(FOXGLOVE).replace("http", "ws", 1)
         watch = url.replace(listener.operator_token, listener.viewer_token)
-        write_private(root / "foxglove.json", json.dumps({"foxglove": url, "watch": watch}) + "\n")
-        if not quiet:
-            say(f"foxglove {url}\nto watch only: {watch}")
-            if made:
-                say(f"certificate made for foxglove, SHA-256 {made}")
+        kept = {"foxglove": url, "watch": watch}
+        lines = [f"foxglove {url}", f"to watch only: {watch}"]
+        announce(root / "foxglove.json", kept, lines, made, quiet=quiet)
         yield by_name
 
 
@@ -212,17 +205,10 @@ class SessionWays:
     @contextmanager
     def opened(self, session: str) -> Iterator[tuple[_Listeners, _Arguments]]:
         """Print the addresses, and yield what the processes get; at the end all is closed."""
-        quiet, options = self._args.quiet, self._topology.options
+        options = self._topology.options
         with (
             bound_services(self._args, self._files, self._topology.segments) as maintenance,
-            announced_pages(
-                self._pages,
-                session,
-                quiet=quiet,
-                browser=self._args.open,
-                tasks=options.tasks,
-                trainer=options.trainer,
-            ) as pages,
+            announced_pages(self._pages, session, self._args, options) as pages,
             ExitStack() as opened,
             self._packets as packets,
         ):

@@ -75,8 +75,7 @@ class StreamOptions:
     part_mb: float = _session("M  or after M MB (default 256)", 256.0)
     snapshots: Path | None = _session("DIR  keep what is shown as PNG")
     plan: Path | None = _session(
-        "PLAN.toml  select the tasks of a plan; with a simulated joystick a simulated cosmonaut "
-        "does them"
+        "PLAN.toml  select a plan's tasks; with a simulated joystick a simulated cosmonaut does them"
     )
     leds: str | None = _session("HOST:PORT  of an LED panel that takes the place of the built-in")
     runs: Path | None = _session("DIR  record each run of a task into a file there")
@@ -172,8 +171,7 @@ class StreamOptions:
         "server names, if there is one)"
     )
     turn_secret_file: Path | None = _pages(
-        "FILE  the secret shared with a TURN server, for credentials of one hour (coturn's "
-        "use-auth-secret)"
+        "FILE  shared with a TURN server, for credentials of one hour (coturn's use-auth-secret)"
     )
     turn_user: str | None = _pages("USER  a lasting user name of the server")
     turn_password_file: Path | None = _pages("FILE  with --turn-user")
@@ -301,19 +299,18 @@ def add_session_options(parser: argparse._ActionsContainer, *names: str) -> None
 
 def _add(parser: argparse._ActionsContainer, name: str, **more: object) -> argparse.Action:
     known, kind = OPTIONS[name].metadata, kinds_of(name)[0]
-    own: Mapping[str, Any] = {"help": known["text"], "default": OPTIONS[name].default}
+    own: Mapping[str, Any] = {"metavar": known["metavar"], "type": kind}
     if kind is bool:
-        own = {**own, "action": "store_true"}
+        own = {"action": "store_true"}
     elif get_origin(kind) is Literal:
-        own = {**own, "choices": get_args(kind)}
-    elif get_origin(kind) is not tuple:
-        own = {**own, "metavar": known["metavar"], "type": kind}
-    else:
+        own = {"choices": get_args(kind)}
+    elif get_origin(kind) is tuple:
         how = {"nargs": "*"} if "bare" in known else {"action": "append", "default": []}
-        own = {**own, "metavar": known["metavar"], "type": get_args(kind)[0], **how}
+        own = {**own, "type": get_args(kind)[0], **how}
     if "bare" in known and "nargs" not in own:
         own = {**own, "nargs": "?", "const": known["bare"]}
-    return parser.add_argument(*known["short"], flag(name), **{**own, **more})
+    own = {"help": known["text"], "default": OPTIONS[name].default, **own, **more}
+    return parser.add_argument(*known["short"], flag(name), **own)
 
 
 def stream_options(args: argparse.Namespace) -> StreamOptions:

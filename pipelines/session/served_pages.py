@@ -27,7 +27,7 @@ from pipelines.session.page_sockets import (
     check_certificate,
     listeners,
 )
-from pipelines.session.topology import PAGES, Segment
+from pipelines.session.topology import PAGES, Segment, SessionOptions
 
 #: The ground's page takes a later port than the operator's.
 _LAST_PORT = 65_534
@@ -102,45 +102,44 @@ def served(
 
 @contextmanager
 def announced_pages(
-    options: ServerOptions | None,
-    session: str,
-    *,
-    quiet: bool,
-    browser: bool = False,
-    tasks: bool = False,
-    trainer: bool = False,
+    options: ServerOptions | None, session: str, args: StreamOptions, table: SessionOptions
 ) -> Iterator[Mapping[str, PageListener]]:
     """Make tokens and certificate, print one address, and yield the listeners by process.
 
     It leads to every page. Each page's own address is in `pages.json` in the session's directory,
-    for programs of this user.
-    browser: whether to open the first in one. tasks, trainer: whether the session has any.
+    for programs of this user. table: what the session has.
     """
     if options is None:
         yield {}
         return
     root = session_root(session)
-    with served(options, root, "page", trainer=trainer) as (seats, made):
+    with served(options, root, "page", trainer=table.trainer) as (seats, made):
         urls = {seat: listener.url(seat) for seat, listener in seats.items()}
         people = {
             name: seats[seat].url(page, role=role.value)
             for name, (seat, page, role) in _PEOPLE.items()
-            if seat in seats and (tasks or page not in _OF_TASKS)
+            if seat in seats and (table.tasks or page not in _OF_TASKS)
         }
         first = next(iter(seats.values()))
-        if trainer:
+        if table.trainer:
             people["trainer"] = first.url("trainer", role=Role.TRAINER.value)
         address, watch = first.url(""), first.url("", role=Role.VIEWER.value)
         kept = {"pages": address, **urls, **people, "viewer_token": first.viewer_token}
-        write_private(root / "pages.json", json.dumps(kept, indent=1) + "\n")
-        if not quiet:
-            lines = [f"pages: {address}", f"to watch only: {watch}"]
-            if made:
-                lines.append(f"certificate made for this session, SHA-256 {made}")
-            say("\n".join(lines))
-        if browser:
+        lines = [f"pages: {address}", f"to watch only: {watch}"]
+        announce(root / "pages.json", kept, lines, made, quiet=args.quiet)
+        if args.open:
             _open_in_browser(address, root)
         yield {PAGES[Segment(name)]: listener for name, listener in seats.items()}
+
+
+def announce(
+    file: Path, kept: Mapping[str, str], lines: Sequence[str], made: str, *, quiet: bool
+) -> None:
+    """Keep addresses for programs of this user, and print lines. made: as of `served`."""
+    write_private(file, json.dumps(kept, indent=1) + "\n")
+    certificate = [f"certificate made for this session, SHA-256 {made}"] * bool(made)
+    if not quiet:
+        say("\n".join([*lines, *certificate]))
 
 
 def _open_in_browser(address: str, root: Path) -> None:

@@ -33,6 +33,8 @@ _CHANGES = {
     "rtc": (),
 }
 
+_FLAGS = {field.name for field in fields(Setup) if field.type is bool}
+
 #: Of an option, or of a field in its table, such as ("setup", "axes"); "" says that there is one.
 Name = tuple[str, ...]
 
@@ -153,6 +155,9 @@ def _options(settings: Settings, site: Path | None) -> StreamOptions:
     values: dict[str, Any] = {}
     for (option, *inner), (value, _) in settings.items():
         if inner and option == "setup":
+            # A table that is taken back; flags of a setup may be false.
+            if value is False and inner[0] not in _FLAGS:
+                continue
             table = values.setdefault(option, {"name": site.stem if site else ""})
             for key in inner[:-1]:
                 table = table.setdefault(key, {})

@@ -56,21 +56,16 @@ from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, headline_tables
 from pipelines.session.command_process import ended_alike
-from pipelines.session.option_rows import add_options
 
 FPS = 30
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        "--seconds S <float=20.0>  of each clip (default 20)",
-        "--cap-kbps K <float=85.0>  default 85",
-        "--channel-kbps C <float=88.0>  default 88",
-        "--size WxH <=640x480>  default 640x480",
-        "--report",
-        "--plot FILE <Path>  draw the latencies as a PNG",
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, metavar="S", help="of each clip (default 20)"
     )
+    parser.add_argument("--cap-kbps", type=float, default=85.0, metavar="K", help="default 85")
+    parser.add_argument("--channel-kbps", type=float, default=88.0, metavar="C", help="default 88")
     parser.add_argument(
         "--clip",
         type=Path,
@@ -80,6 +75,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="video files, cropped to the size, instead of the built-in scene",
     )
+    parser.add_argument("--size", default="640x480", metavar="WxH", help="default 640x480")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the latencies as a PNG")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -217,9 +217,7 @@ class Setup:
 
     name: str
     uplink_video: VideoStream
-    cameras: tuple[str, ...] = field(
-        metadata={"like": 'a list of names, like ["stereo", "static"]'}
-    )
+    cameras: tuple[str, ...]
     uplink_voice: VoiceStream | None = None
     downlink_video: VideoStream | None = None
     downlink_voice: VoiceStream | None = None
