@@ -119,7 +119,7 @@ def task_arguments(options: TaskOptions | None) -> Mapping[str, Mapping[str, obj
     if options is None:
         return {}
     arguments: dict[str, dict[str, object]] = {
-        TASKS: {"wish": options},
+        TASKS: {"options": options},
         PAGES[Segment.SPACE]: {"tasks": options.catalogue},
     }
     if options.simulated and options.plan is not None:

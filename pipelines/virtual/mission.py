@@ -5,7 +5,7 @@ from functools import partial
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.file_requests import ENTITIES
-from pipelines.hand.hand_topics import JoystickStatus, unpack_status
+from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptics import JoystickEnd
 from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
 from pipelines.link.link_metrics import link_values
@@ -133,9 +133,7 @@ class SimulatedTmtc:
     def _sample_joystick(self, now_ns: int) -> None:
         handle = self._handle
         if self._teller is not None:
-            octets = self._teller.poll_status(now_ns)
-            status = None if octets is None else unpack_status(octets)
-            if status is not None:
+            if (status := self._teller.poll_status(now_ns)) is not None:
                 self._joystick.handle_status(status, now_ns)
         elif handle is not None:
             status = JoystickStatus(
