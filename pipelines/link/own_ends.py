@@ -51,8 +51,8 @@ class Protection:
 class PeerPlan:
     """How the only end here reaches the other: it listens at `bind`, or calls `peer`.
 
-    segment: of the end. bind: local address; port 0 for any. peer: None for an end that waits to be called.
-    protection: None for a path in the clear.
+    segment: of the end. bind: local address; port 0 for any. peer: None for an end that waits to be
+    called. protection: None for a path in the clear.
     """
 
     segment: Segment

@@ -75,7 +75,7 @@ class StreamOptions:
     part_mb: float = _session("M  or after M MB (default 256)", 256.0)
     snapshots: Path | None = _session("DIR  keep what is shown as PNG")
     plan: Path | None = _session(
-        "PLAN.toml  select a plan's tasks; with a simulated joystick a simulated cosmonaut does them"
+        "PLAN.toml  select a plan's tasks, which a simulated cosmonaut does with a simulated joystick"
     )
     leds: str | None = _session("HOST:PORT  of an LED panel that takes the place of the built-in")
     runs: Path | None = _session("DIR  record each run of a task into a file there")
