@@ -46,8 +46,6 @@ def ice_servers_of(args: StreamOptions, *, may_be_named: bool = False) -> Callab
     password_file = args.turn_password_file
     if (user is None) != (password_file is None):
         raise ConfigError("give both --turn-user and --turn-password-file, or neither")
-    if user is not None and secret_file is not None:
-        raise ConfigError("give either --turn-secret-file or --turn-user")
     secret = "" if secret_file is None else read_secret(secret_file, "--turn-secret-file")
     password = "" if password_file is None else read_secret(password_file, "--turn-password-file")
 

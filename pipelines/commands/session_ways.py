@@ -17,6 +17,7 @@ from pipelines.files.process_files import FilesPlan
 from pipelines.files.service_sockets import bound_services, checked_services
 from pipelines.packets.process_packets import checked_packets, parse_frames
 from pipelines.session.command_process import say
+from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import FILES_BPS, FILES_KBPS, RTC_PORT, StreamOptions
 from pipelines.session.page_sockets import HAND_TOKEN, PageListener, listeners
 from pipelines.session.served_pages import (
@@ -59,10 +60,9 @@ def bound_rtc(args: StreamOptions, setup: Setup, segments: Sequence[Segment]) ->
     ConfigError for options that cannot work, and for an address that cannot be had.
     """
     if setup.rtc is None or Segment.GROUND not in segments:
-        given = (args.rtc, args.rtc_token_file, args.rtc_hand_token_file, args.ice_server)
-        if any(option is not None for option in given):
-            why = "give --rtc, too" if setup.rtc is None else "the leg is at the ground's end"
-            raise ConfigError(f"--rtc-token-file and --ice-server belong to a partner: {why}")
+        why = "give --rtc, too" if setup.rtc is None else "the leg is at the ground's end"
+        why = f" belongs to a partner: {why}"
+        refuse_options(args, why, "rtc", "rtc_token_file", "rtc_hand_token_file", "ice_server")
         return []
     token, hand_token = (
         read_secret(path, option) if path is not None else secrets.token_urlsafe(24)
@@ -114,14 +114,6 @@ def _announced_foxglove(
         lines = [f"foxglove {url}", f"to watch only: {watch}"]
         announce(root / "foxglove.json", kept, lines, made, quiet=quiet)
         yield by_name
-
-
-def _bound_metrics(args: StreamOptions) -> _Announced:
-    """Bind what the option asks for; ConfigError if that cannot be."""
-    if find_spec("prometheus_client") is None:
-        raise ConfigError("--metrics needs prometheus-client: pip install 'kontur-av[metrics]'")
-    server = bound_server(args.metrics, METRICS, option="--metrics")
-    return partial(_announced_metrics, server, quiet=args.quiet)
 
 
 @contextmanager
@@ -197,7 +189,10 @@ class SessionWays:
         self._pages = bound_pages(args, segments)
         self._servers = bound_rtc(args, setup, segments)
         if args.metrics is not None:
-            self._servers.append(_bound_metrics(args))
+            if find_spec(package := "prometheus_client") is None:
+                raise ConfigError(f"--metrics needs {package}: pip install 'kontur-av[metrics]'")
+            server = bound_server(args.metrics, METRICS, option="--metrics")
+            self._servers.append(partial(_announced_metrics, server, quiet=args.quiet))
         if args.foxglove is not None:
             server = bound_server(args.foxglove, FOXGLOVE, option="--foxglove")
             self._servers.append(partial(_announced_foxglove, server, quiet=args.quiet))

@@ -7,13 +7,14 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.end_options import ends_here, inputs_here
 from pipelines.commands.live_session import end_session, made_directory, with_status
 from pipelines.commands.record import checked_options
 from pipelines.commands.session_parts import (
     asked_topology,
     checked_components,
     chosen_setup,
+    ends_here,
+    inputs_here,
     task_arguments,
     task_options,
 )

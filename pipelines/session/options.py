@@ -75,7 +75,7 @@ class StreamOptions:
     part_mb: float = _session("M  or after M MB (default 256)", 256.0)
     snapshots: Path | None = _session("DIR  keep what is shown as PNG")
     plan: Path | None = _session(
-        "PLAN.toml  select a plan's tasks, which a simulated cosmonaut does with a simulated joystick"
+        "PLAN.toml  a plan's tasks; with a simulated joystick a simulated cosmonaut does them"
     )
     leds: str | None = _session("HOST:PORT  of an LED panel that takes the place of the built-in")
     runs: Path | None = _session("DIR  record each run of a task into a file there")
@@ -134,12 +134,15 @@ class StreamOptions:
     )
     radio_delay_ms: float | None = _radio("D  a cable with a delay one way", rivals=("radio",))
     seed: int = _radio("N  seed of the radio's random losses", 0)
-    key: Path | None = _radio("--key")
+    key: Path | None = _radio("--key", rivals=("insecure",))
     identity: str | None = _radio(
-        "ID  with --end: the other machine's identity, if several are trusted"
+        "ID  with --end: the other machine's identity, if several are trusted",
+        rivals=("insecure",),
     )
     insecure: bool = _radio(
-        "with --end: neither encrypt nor authenticate; on a private network only", False
+        "with --end: neither encrypt nor authenticate; on a private network only",
+        False,
+        rivals=("key", "identity"),
     )
     bypass: bool = _radio(
         "for tests, with both ends here: join the programs directly, past gateways and radio", False
@@ -171,9 +174,12 @@ class StreamOptions:
         "server names, if there is one)"
     )
     turn_secret_file: Path | None = _pages(
-        "FILE  shared with a TURN server, for credentials of one hour (coturn's use-auth-secret)"
+        "FILE  shared with a TURN server, for credentials of one hour (coturn's use-auth-secret)",
+        rivals=("turn_user",),
     )
-    turn_user: str | None = _pages("USER  a lasting user name of the server")
+    turn_user: str | None = _pages(
+        "USER  a lasting user name of the server", rivals=("turn_secret_file",)
+    )
     turn_password_file: Path | None = _pages("FILE  with --turn-user")
     ice_relay_only: bool = _pages(
         "go through the TURN server only, and tell no address of this machine", False
@@ -323,15 +329,11 @@ def stream_options(args: argparse.Namespace) -> StreamOptions:
     return StreamOptions(**values)
 
 
-def radio_change(name_or_file: str) -> Mapping[str, Any]:
-    return {"radio": load_radio(name_or_file), "radio_delay_ms": 0.0}
-
-
 def setup_changes(options: StreamOptions) -> Mapping[str, Any]:
     """What the options change in the setup."""
     changes = {name: getattr(options, name) for name in ("base_port", "deadband", "hand")}
     if options.radio is not None:
-        changes |= radio_change(options.radio)
+        changes |= {"radio": load_radio(options.radio), "radio_delay_ms": 0.0}
     elif options.radio_delay_ms is not None:
         changes |= {"radio": NO_RADIO, "radio_delay_ms": options.radio_delay_ms}
     return {name: value for name, value in changes.items() if value is not None}

@@ -102,20 +102,20 @@ def blamed(settings: Settings) -> Iterator[None]:
         about = [
             (rank, said.index(word), setting.origin, name if rank < 4 else name[:1])
             for name, setting in settings.items()
-            if setting.origin != COMMAND_LINE and (len(name) == 1 or setting.value is not False)
+            if len(name) == 1 or setting.value is not False
             for rank, word in enumerate(_words(name, setting.value))
             if word in said
         ]
-        if not about:
+        *_, origin, name = min(about, default=(COMMAND_LINE, ()))
+        if origin == COMMAND_LINE:
             raise
-        *_, origin, name = min(about)
         raise ConfigError(f"{origin}: {'.'.join(name)}: {error}") from None
 
 
 def _words(name: Name, value: object) -> tuple[str, ...]:
     """The words by which a message is about a setting, the surest first."""
-    field = ".".join(name[1:])
-    return flag(name[0]), field, field.partition(".")[0] or name[-1], str(value), name[0]
+    field, text = ".".join(name[1:]), value if isinstance(value, str) else ""
+    return flag(name[0]), field, field.partition(".")[0], text, name[0]
 
 
 def _shown(value: object) -> str:

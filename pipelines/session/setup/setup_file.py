@@ -79,13 +79,15 @@ def _values_of(name: str | Mapping[str, Any]) -> Mapping[str, Any]:
         return setup_values(typed(name, SETUP_FILE, "a setup"))
     if name in BUILT_IN:
         return {each.name: getattr(BUILT_IN[name], each.name) for each in fields(Setup)}
-    table = _table_of(name)
+    table = table_of_setup(name)
     with refused(f"setup {name}", ConfigError):
         return _values_of(table)
 
 
-def _table_of(name: str) -> Mapping[str, Any]:
-    """The table that the TOML file of a setup holds; ConfigError."""
+def table_of_setup(name: str) -> Mapping[str, Any]:
+    """The table that the TOML file of a setup holds, also of one that is built in; ConfigError."""
+    if name in BUILT_IN:
+        return setup_table(BUILT_IN[name])
     path = Path(name)
     if path.suffix != ".toml":
         raise ConfigError(
@@ -105,8 +107,3 @@ def setup_from_table(
 ) -> Setup:
     """A setup from the table that a TOML file holds; changes, radio_start_s: as of `load_setup`."""
     return load_setup(table, changes=changes, radio_start_s=radio_start_s)
-
-
-def table_of_setup(name: str) -> Mapping[str, Any]:
-    """The table that the TOML file of a setup holds, also of one that is built in; ConfigError."""
-    return setup_table(BUILT_IN[name]) if name in BUILT_IN else _table_of(name)

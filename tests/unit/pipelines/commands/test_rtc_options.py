@@ -29,7 +29,10 @@ def test_a_lasting_user_of_a_turn_server_has_a_name_and_a_password(watch):
     for refused, told in (
         (words, "or neither"),
         ((*words[:2], "--turn-password-file", "PASSWORD"), "or neither"),
-        ((*words, "--turn-password-file", "PASSWORD", "--turn-secret-file", "PASSWORD"), "either"),
+        (
+            (*words, "--turn-password-file", "PASSWORD", "--turn-secret-file", "PASSWORD"),
+            "give one",
+        ),
         (words[2:], "--turn-user belongs to a server"),
     ):
         with pytest.raises(ConfigError, match=told):
