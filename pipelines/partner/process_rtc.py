@@ -24,7 +24,7 @@ from pipelines.partner.samples import SamplePorts
 from pipelines.partner.server import RtcServer
 from pipelines.partner.tally import ConnectionSeen, SampleTally, Tally
 from pipelines.partner.tracks import PartnerTime
-from pipelines.session.hand_messages import UNKNOWN_US
+from pipelines.session.page_messages import UNKNOWN_US
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream

@@ -60,7 +60,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                     for topic in (link.sent_frames_topic, link.received_frames_topic)
                 ),
             ),
-            what="records the session, if that is wished",
+            what="records the session, if asked for",
         ),
     )
 
