@@ -39,13 +39,8 @@ _HELP = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     for action in add_actions(parser, _HELP).values():
-        action.add_argument(
-            "--from",
-            dest="origin",
-            choices=[segment.value for segment in Segment],
-            help="the end that asks (default: the ground, if it runs here)",
-        )
-        add_options(action, "--session")
+        row = "--from <ground|space>  the end that asks (default: the ground, if it runs here)"
+        add_options(action, row, "--session")
     parser.description = (
         "Files go both ways beside the media, in the directories of `kontur-av stream --files`. A "
         "loss of signal suspends them, Ctrl-C cancels. Exit code 1 if a transfer fails."
@@ -60,7 +55,8 @@ def run(args: argparse.Namespace) -> int:
         second=getattr(args, "second", None) or "",
         number=getattr(args, "number", -1),
     )
-    segments = tuple(Segment) if args.origin is None else (Segment(args.origin),)
+    sender: str | None = vars(args)["from"]
+    segments = tuple(Segment) if sender is None else (Segment(sender),)
     for segment in sorted(segments, key=lambda one: one is not Segment.GROUND):
         if running := running_sessions(socket_name(segment)):
             return _follow(request, segment, acting_on(args.session, running))
