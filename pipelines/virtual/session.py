@@ -24,7 +24,8 @@ from pipelines.media.following import Choice
 from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, SendCommand, TmtcNews
 from pipelines.report.collector import Collector
-from pipelines.report.model import CodingCosts, SessionReport, SimulationReport
+from pipelines.media.figures import CodingCosts
+from pipelines.report.model import SessionReport, SimulationReport
 from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
 from pipelines.session.probe import FLUSH_NS
@@ -139,6 +140,7 @@ class Simulation:
             workers=workers,
             gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
             state_at=self._state_at,
+            robot=lambda: self._state,
             start_ns=start_ns,
         )
         self._slots_of = [ground_end.slots, space_end.slots]

@@ -24,12 +24,13 @@ from pipelines.hand.replaying import ReplayedEnd, ReplayTime
 from pipelines.media.following import Choice
 from pipelines.recording.messages import SAMPLE
 from pipelines.recording.recorded_session import RecordedSession, SentUnit
-from pipelines.report.model import CodingCosts, ReplayedStream, ReplayReport, SessionReport
+from pipelines.media.figures import CodingCosts
+from pipelines.report.model import ReplayedStream, ReplayReport, SessionReport
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY
 from pipelines.virtual.media import Camera, Media
 from pipelines.virtual.session import HapticEnd, Selection, Simulation
-from pipelines.virtual.streams import VideoProcess, VideoReceiveProcess, VoiceProcess
+from pipelines.virtual.streams import VideoReceiveProcess, VideoSendProcess, VoiceProcess
 from pipelines.virtual.studio import SAME_DB, Originals, VideoDecoding, VideoStudio
 from pipelines.virtual.workers import Coder, Scene, Workers
 from telepresence.haptics.device.device import JoystickDevice
@@ -147,7 +148,7 @@ class ReplayedMedia(Media):
         self._session, self._time, self._recode = session, time, recode
         self._tallies: dict[str, _Tally] = {}
         super().__init__(scene, on_confirmed)
-        for name, receiver in self._video_receivers.items():
+        for name, receiver in self.video_receivers.items():
             self._tallies[name] = tally = _Tally(
                 self._session.pictures.get(name, []), session.received.get(name), receiver
             )
@@ -168,14 +169,11 @@ class ReplayedMedia(Media):
             films = {camera: f"mcap:{self._recode}#/{stream.name}/sent"}
             first_ns = self._time.at(units[0].capture_ns)
             studio = scene.workers.start(partial(VideoStudio, stream, films, first_ns))
-            show = self._video_sender(stream, studio).handle_picture
-            Camera(scene, camera, stream.fps, studio, show)
+            sender = self._add_sender(stream, VideoSendProcess(scene, stream, studio))
+            Camera(scene, camera, stream.fps, studio, sender.handle_picture)
             return
-        gateway = scene.sending_gateway(stream.name)
-        sender = VideoProcess(scene, stream, self._core(stream), gateway)
-        self._add_sender(stream, sender)
+        sender = self._add_sender(stream, VideoSendProcess(scene, stream))
         cost_ns = scene.costs.ns("capture") + scene.costs.picture_ns("encode", stream.codec)
-
         self._feed(stream.name, units, cost_ns, sender)
 
     def _send_voice(self, stream: VoiceStream, name: str) -> None:
@@ -190,24 +188,15 @@ class ReplayedMedia(Media):
         name: str,
         units: Sequence[SentUnit],
         cost_ns: int,
-        sender: VideoProcess | VoiceProcess,
+        sender: VideoSendProcess | VoiceProcess,
     ) -> None:
-        agenda, start_ns, numbered = self._scene.agenda, self._scene.start_ns, enumerate(units)
+        script = self._script([unit.capture_ns for unit in units], cost_ns)
 
-        def enter(now_ns: int) -> None:
-            number, unit = next(numbered, (0, None))
-            if unit is None:
-                return
-            capture_ns = self._time.at(unit.capture_ns)
-            stamp = CaptureStamp(capture_ns, number, name)
+        def send(number: int, capture_ns: int, now_ns: int) -> None:
+            unit, stamp = units[number], CaptureStamp(capture_ns, number, name)
+            sender.handle_coded(AccessUnit(unit.data, stamp, unit.key, unit.codec), now_ns)
 
-            def go(due_ns: int) -> None:
-                sender.handle_unit(AccessUnit(unit.data, stamp, unit.key, unit.codec), due_ns)
-                enter(due_ns)
-
-            agenda.at(max(capture_ns + cost_ns, now_ns), go)
-
-        enter(start_ns)
+        follow(script, self._scene.agenda, send)
 
     def _decoding(
         self, stream: VideoStream, watched: tuple[int, int] | None

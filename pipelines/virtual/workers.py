@@ -13,7 +13,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from multiprocessing.connection import Connection
 from random import Random
@@ -23,7 +23,7 @@ import cv2
 
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.report.collector import Collector
-from pipelines.report.model import CodingCosts
+from pipelines.media.figures import CodingCosts
 from pipelines.session.launcher import keep_memory
 from pipelines.session.probe import Probe
 from pipelines.session.setup.table import Setup
@@ -237,7 +237,8 @@ class Workers(ExitStack):
 class Scene:
     """What the parts of a simulated session share.
 
-    state_at: the newest state of the robot. start_ns: when it begins.
+    state_at: the newest state of the robot; robot: the same, None before the first.
+    start_ns: when it begins. at_end: called with the instant when the session ends.
     """
 
     setup: Setup
@@ -249,7 +250,9 @@ class Scene:
     workers: Workers
     gateways: Mapping[Segment, Gateway]
     state_at: Callable[[int], WorldState]
+    robot: Callable[[], WorldState | None]
     start_ns: int
+    at_end: list[Callable[[int], object]] = field(default_factory=list)
 
     def sending_gateway(self, stream: str) -> Gateway:
         return self.gateways[self.topology.media(stream).direction.sender]
