@@ -23,7 +23,7 @@ from report_keys import counts_table, keys_tables
 
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_of
-from pipelines.recording.messages import SCHEMAS
+from pipelines.recording.recorded_messages import SCHEMAS
 from pipelines.recording.schemas import MessageSchema
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.report.result import Headline

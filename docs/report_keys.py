@@ -15,75 +15,75 @@ from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.link.figures import SocketFigures, WayInFigures
-from pipelines.media.figures import (
-    CaptureFigures,
-    DisplayFigures,
-    GainFigures,
-    SelectorFigures,
-    SnapshotFigures,
-    StereoFigures,
+from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
+from pipelines.media.media_metrics import (
+    CaptureMetrics,
+    DisplayMetrics,
+    GainMetrics,
+    SelectorMetrics,
+    SnapshotMetrics,
+    StereoMetrics,
 )
-from pipelines.mission.figures import ComponentFigures, TaskFigures, TmtcFigures
-from pipelines.packets.bridge import FrameFigures, PacketsFigures
-from pipelines.partner.figures import RtcFigures
-from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
+from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics, TmtcMetrics
+from pipelines.packets.bridge import FrameMetrics, PacketsMetrics
+from pipelines.partner.partner_metrics import RtcMetrics
+from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
 from pipelines.report.model import keys_of
-from pipelines.seats.figures import PageFigures
-from pipelines.session.figures import LoopFigures, ProbeFigures, TrainerFigures
-from telepresence.files.entity import FileFigures
-from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import (
-    JoystickFigures,
-    PortFigures,
+from pipelines.seats.page_metrics import PageMetrics
+from pipelines.session.session_metrics import LoopMetrics, ProbeMetrics, TrainerMetrics
+from telepresence.files.entity import FileMetrics
+from telepresence.haptics.authority import AuthorityMetrics
+from telepresence.haptics.envelope import SafetyMetrics
+from telepresence.haptics.haptic_metrics import (
+    JoystickMetrics,
+    PortMetrics,
     SamplesReceived,
     SamplesSent,
-    UdpFigures,
-    WallFigures,
+    UdpMetrics,
+    WallMetrics,
 )
-from telepresence.haptics.ownership import OwnershipFigures
-from telepresence.link.figures import GatewayFigures, PeerFigures
-from telepresence.services.streams import ServiceFigures
+from telepresence.link.link_metrics import GatewayMetrics, PeerMetrics
+from telepresence.services.streams import ServiceMetrics
 
 #: All records that processes tell.
 TOLD: tuple[type, ...] = (
-    ProbeFigures,
-    LoopFigures,
-    CaptureFigures,
-    StereoFigures,
-    SelectorFigures,
+    ProbeMetrics,
+    LoopMetrics,
+    CaptureMetrics,
+    StereoMetrics,
+    SelectorMetrics,
     SenderCounts,
     FeedbackCounts,
-    GainFigures,
+    GainMetrics,
     VideoReceiverCounts,
     DecoderCounts,
     VoiceReceiverCounts,
-    DisplayFigures,
-    SnapshotFigures,
-    GatewayFigures,
-    SocketFigures,
-    WayInFigures,
-    PeerFigures,
+    DisplayMetrics,
+    SnapshotMetrics,
+    GatewayMetrics,
+    SocketMetrics,
+    WayInMetrics,
+    PeerMetrics,
     SamplesSent,
     SamplesReceived,
-    PortFigures,
-    WallFigures,
-    UdpFigures,
-    JoystickFigures,
-    OwnershipFigures,
-    SafetyFigures,
-    TmtcFigures,
-    PacketsFigures,
-    FrameFigures,
-    FileFigures,
-    ServiceFigures,
-    TaskFigures,
-    ComponentFigures,
-    TrainerFigures,
-    PageFigures,
-    RtcFigures,
-    RecorderFigures,
-    FoxgloveFigures,
+    PortMetrics,
+    WallMetrics,
+    UdpMetrics,
+    JoystickMetrics,
+    AuthorityMetrics,
+    SafetyMetrics,
+    TmtcMetrics,
+    PacketsMetrics,
+    FrameMetrics,
+    FileMetrics,
+    ServiceMetrics,
+    TaskMetrics,
+    ComponentMetrics,
+    TrainerMetrics,
+    PageMetrics,
+    RtcMetrics,
+    RecorderMetrics,
+    FoxgloveMetrics,
 )
 _WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "boolean"}
 
@@ -103,7 +103,7 @@ def counts_table() -> str:
     """Lists of all that processes count and tell, by the names that it has in a report."""
     parts = []
     for kind in TOLD:
-        prefix = "STREAM." if kind is DisplayFigures else ""
+        prefix = "STREAM." if kind is DisplayMetrics else ""
         parts.append(f"**{_summary(kind)}**\n\n" + "\n".join(_listed(_rows(kind, prefix))))
     return "\n\n".join(parts) + "\n"
 

@@ -16,7 +16,7 @@ from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from kontur_av.streams.video_sender import VideoSender
-from pipelines.bench.video.figures import psnr_db
+from pipelines.bench.video.quality import psnr_db
 from telepresence.world import render, scripted_state
 
 WIDTH, HEIGHT, FPS = 640, 480, 30

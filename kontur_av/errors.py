@@ -9,7 +9,7 @@ _Choice = TypeVar("_Choice", bound=str)
 
 
 class ConfigError(Exception):
-    """The user's mistake. Its message is one line that names the mend; commands exit with 2."""
+    """The user's mistake. Its message is one line that names the fix; commands exit with 2."""
 
 
 class ProtocolError(Exception):

@@ -20,7 +20,7 @@ from kontur_av.returned import PartError
 _NAMED = re.compile(r"(?P<module>[^\W\d][\w.]*):(?P<name>[^\W\d]\w*)(:(?P<argument>.*))?")
 
 
-class PartDoor(NamedTuple):
+class PluginRegistry(NamedTuple):
     """Where the parts of one kind come in.
 
     what, forms: the kind, and how its SPECs are written, for messages.
@@ -34,17 +34,17 @@ class PartDoor(NamedTuple):
     built_in: Mapping[str, str] = MappingProxyType({})
 
 
-def names_part(spec: str, door: PartDoor) -> bool:
+def names_part(spec: str, registry: PluginRegistry) -> bool:
     """Whether `spec` begins with a part's name, or has the form `module:Class`."""
     first = spec.partition(":")[0]
     return (
-        first in door.built_in
+        first in registry.built_in
         or _NAMED.fullmatch(spec) is not None
-        or _registered(first, door.group)
+        or _registered(first, registry.group)
     )
 
 
-def find_part(spec: str, door: PartDoor) -> tuple[Any, tuple[str, ...]]:
+def find_part(spec: str, registry: PluginRegistry) -> tuple[Any, tuple[str, ...]]:
     """Return the class that `spec` names, and its last arguments: what follows as `:TEXT`, if so.
 
     spec: the name of a built-in part or of an entry point, or `module:Class`. A module is looked
@@ -54,13 +54,13 @@ def find_part(spec: str, door: PartDoor) -> tuple[Any, tuple[str, ...]]:
     """
     first, _, rest = spec.partition(":")
     text = (rest,) if rest else ()
-    if (place := door.built_in.get(first)) is not None:
+    if (place := registry.built_in.get(first)) is not None:
         module, _, name = place.partition(":")
         return getattr(importlib.import_module(module), name), text
     named = _NAMED.fullmatch(spec)
     try:
-        if _registered(first, door.group):
-            (entry,) = entry_points(group=door.group, name=first)
+        if _registered(first, registry.group):
+            (entry,) = entry_points(group=registry.group, name=first)
             return entry.load(), text
         if named is not None:
             argument = named["argument"]
@@ -72,23 +72,24 @@ def find_part(spec: str, door: PartDoor) -> tuple[Any, tuple[str, ...]]:
     except ConfigError:
         raise
     except Exception as error:
-        # The user's own code: whatever it raises is theirs to mend.
+        # The user's own code: whatever it raises is theirs to fix.
         raise ConfigError(f"{spec!r} cannot be loaded: {error_words(error)}") from error
-    known = ", ".join(sorted(one.name for one in entry_points(group=door.group)))
+    known = ", ".join(sorted(one.name for one in entry_points(group=registry.group)))
     raise ConfigError(
-        f"{door.what} {spec!r}: write {door.forms}" + (f", or one of {known}" if known else "")
+        f"{registry.what} {spec!r}: write {registry.forms}"
+        + (f", or one of {known}" if known else "")
     )
 
 
-def make_part(spec: str, door: PartDoor, *arguments: object, **offers: object) -> Any:
+def make_part(spec: str, registry: PluginRegistry, *arguments: object, **offers: object) -> Any:
     """Return what `spec` names, made with these arguments and the one that stands in it.
 
     offers: handed to a class that has keyword-only arguments of these names.
 
     Raises ConfigError if there is no such class, or if it cannot be made.
     """
-    made, text = find_part(spec, door)
-    ours = spec.partition(":")[0] in door.built_in
+    made, text = find_part(spec, registry)
+    ours = spec.partition(":")[0] in registry.built_in
     try:
         taken = _taken(made, offers) if offers else {}
         if ours:

@@ -22,7 +22,7 @@ _Convert = Callable[[Any], Any]
 
 
 class PartError(ConfigError):
-    """A user's part cannot be used as it is. Its text is one line with the mend."""
+    """A user's part cannot be used as it is. Its text is one line with the fix."""
 
 
 class _UnfitError(Exception):
@@ -123,7 +123,7 @@ def _converter(kind: Any) -> _Convert:
     if isinstance(kind, type) and issubclass(kind, tuple):
         return _record(kind)
     if is_dataclass(kind):
-        return _facts(kind)
+        return _capabilities(kind)
     if isinstance(origin, type):
         return lambda value: _instance(value, origin)
     return lambda value: value
@@ -174,7 +174,7 @@ def _named(name: str, convert: _Convert, value: Any) -> Any:
         raise _UnfitError(f"{name} = {unfit}") from None
 
 
-def _facts(kind: Any) -> _Convert:
+def _capabilities(kind: Any) -> _Convert:
     """Of a frozen dataclass of facts. A number is above 0; one that may be missing, at least 0."""
     hints = get_type_hints(kind)
 

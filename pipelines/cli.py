@@ -24,7 +24,7 @@ from pipelines.session.command_process import (
 )
 
 WELL, FAILED, MISTAKE = 0, 1, 2
-#: What the system can refuse to any program, and the mend.
+#: What the system can refuse to any program, and the fix.
 _SYSTEM = {
     errno.ENOSPC: "free some room",
     errno.EDQUOT: "free some of your quota",
@@ -131,7 +131,7 @@ def _loaded(command: str, *, alone: bool) -> argparse.ArgumentParser:
         gc.enable()
 
 
-def _tell(line: str) -> None:
+def _publish(line: str) -> None:
     """Print it on standard error in one line, whatever the names and values in it hold."""
     signs = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     print("".join(signs), file=sys.stderr)
@@ -150,22 +150,22 @@ def exit_code(work: Callable[[], int], name: str) -> int:
         sys.stdout.flush()
         return code
     except ConfigError as error:
-        _tell(f"{name}: {error}")
+        _publish(f"{name}: {error}")
         return MISTAKE
     except OSError as error:
         if isinstance(error, BrokenPipeError) and reader_gone():
             discard_output()
             return WELL
         if error.errno == errno.ENAMETOOLONG:
-            _tell(f"{name}: {error.filename!r}: {error.strerror}: shorten it")
+            _publish(f"{name}: {error.filename!r}: {error.strerror}: shorten it")
             return MISTAKE
-        mend = _SYSTEM.get(error.errno or 0)
-        if mend is None:
+        fix = _SYSTEM.get(error.errno or 0)
+        if fix is None:
             raise
         if not error.filename:
             discard_output()  # perhaps it was full
         at = f" {error.filename}:" if error.filename else ""
-        _tell(f"{name}:{at} {error.strerror}: {mend}")
+        _publish(f"{name}:{at} {error.strerror}: {fix}")
         return FAILED
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -9,7 +9,7 @@ what each is for.
 
 from math import pi, sin
 
-from telepresence import JoystickFacts, JoystickReading
+from telepresence import JoystickCapabilities, JoystickReading
 
 MASS_KG, FRICTION_N_S_M, HALF_M, LIMIT_N = 0.4, 2.0, 0.1, 8.0
 HAND_N_M, HAND_N_S_M, WAY_M, PERIOD_S = 60.0, 6.0, 0.08, 4.0
@@ -21,7 +21,7 @@ class Lever:
     Its button is the person's: `button` is what the switch reads, and nothing else presses it.
     """
 
-    facts = JoystickFacts(
+    capabilities = JoystickCapabilities(
         name="a lever",
         half_width_m=HALF_M,
         half_height_m=HALF_M,

@@ -3,7 +3,7 @@
 Run it: python samples/plot_contacts.py FILE.mcap [FILE-2.mcap ...] [--picture x.png]
 It prints a line for each contact. `--picture` also draws force and latency around each of them,
 with matplotlib: pip install 'kontur-av[bench]'. It needs nothing of this project: the package mcap
-reads the file, and the file itself says how its messages are built. Mend a torn file before, with
+reads the file, and the file itself says how its messages are built. Fix a torn file before, with
 `kontur-av recover`.
 """
 
@@ -34,8 +34,10 @@ def read(paths):
     for path in paths:
         with path.open("rb") as file:
             reader = make_reader(file)
-            facts = next(one.metadata for one in reader.iter_metadata() if one.name == "kontur-av")
-            to_wall_ns = int(facts["wall_ns"]) - int(facts["session_ns"])
+            capabilities = next(
+                one.metadata for one in reader.iter_metadata() if one.name == "kontur-av"
+            )
+            to_wall_ns = int(capabilities["wall_ns"]) - int(capabilities["session_ns"])
             classes = {}
             for schema, channel, message in reader.iter_messages([ROBOT, PICTURES]):
                 if schema.id not in classes:
@@ -109,7 +111,9 @@ def main():
     try:
         robot, pictures = read(args.files)
     except (OSError, McapError, StopIteration) as error:
-        parser.exit(2, f"{args.files[0]} is no whole recording: {error or 'no facts in it'}\n")
+        parser.exit(
+            2, f"{args.files[0]} is no whole recording: {error or 'no capabilities in it'}\n"
+        )
     found = contacts(robot)
     if not len(found):
         parser.exit(1, "the robot touched nothing\n")

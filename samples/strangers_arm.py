@@ -1,4 +1,4 @@
-"""The arm of a stranger's model in a session: Fetch, of the package gymnasium-robotics.
+"""The arm of an unknown sender's model in a session: Fetch, of the package gymnasium-robotics.
 
     pip install gymnasium-robotics
     kontur-av stream --setup taskboard --robot strangers_arm:Fetch
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from kontur_av.errors import ConfigError
-from telepresence import RobotFacts, RobotReading
+from telepresence import RobotCapabilities, RobotReading
 
 PLANE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 MIDDLE = np.array([1.28, 0.75, 0.6])
@@ -22,7 +22,7 @@ MIDDLE = np.array([1.28, 0.75, 0.6])
 class Fetch:
     """A `RobotDevice` that takes places."""
 
-    facts = RobotFacts(
+    capabilities = RobotCapabilities(
         name="Fetch", takes="position", speed_m_s=0.25, half_width_m=0.17, half_height_m=0.12
     )
 

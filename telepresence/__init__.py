@@ -11,9 +11,13 @@ from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
     from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
-    from telepresence.haptics.device.device import JoystickDevice, JoystickFacts, JoystickReading
+    from telepresence.haptics.device.device import (
+        JoystickCapabilities,
+        JoystickDevice,
+        JoystickReading,
+    )
     from telepresence.haptics.device.states import JoystickState
-    from telepresence.haptics.robot import JointReading, RobotFacts
+    from telepresence.haptics.robot import JointReading, RobotCapabilities
     from telepresence.haptics.robot_device import RobotDevice, RobotReading
     from telepresence.haptics.sample import Command, Feedback
     from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
@@ -42,8 +46,8 @@ __all__ = [
     "Gateway",
     "Handle",
     "JointReading",
+    "JoystickCapabilities",
     "JoystickDevice",
-    "JoystickFacts",
     "JoystickReading",
     "JoystickSide",
     "JoystickState",
@@ -55,8 +59,8 @@ __all__ = [
     "PusUser",
     "RadioPath",
     "RadioProfile",
+    "RobotCapabilities",
     "RobotDevice",
-    "RobotFacts",
     "RobotReading",
     "RobotSide",
     "TelemetryEvent",

@@ -31,8 +31,8 @@ def read_private(path: Path, forbidden: int = OTHERS) -> bytes | None:
             if state.st_uid not in (os.geteuid(), 0):
                 raise ConfigError(f"{path} belongs to another user: use a key of your own")
             if state.st_mode & forbidden:
-                mend = "chmod 600" if forbidden == OTHERS else "chmod go-w"
-                raise ConfigError(f"{path} is open to other users: {mend} {path}")
+                fix = "chmod 600" if forbidden == OTHERS else "chmod go-w"
+                raise ConfigError(f"{path} is open to other users: {fix} {path}")
             return file.read(_LARGEST_FILE)
     except FileNotFoundError:
         return None

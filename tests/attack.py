@@ -408,8 +408,8 @@ def main() -> int:
     restarts = {name: each["restarts"] for name, each in report["processes"].items()}
     restarted = {name: count for name, count in restarts.items() if count}
     print("tried:", tried)
-    figures = {name: each for name, each in report["processes"].items() if "page" in name}
-    print("pages:", figures)
+    metrics = {name: each for name, each in report["processes"].items() if "page" in name}
+    print("pages:", metrics)
     print("partner:", report.get("rtc"))
     print(f"exit code {code}, restarts {restarted}, failures {report['failures']}")
     print("warnings:", *report["warnings"], sep="\n  ")

@@ -18,16 +18,16 @@ import msgspec
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from pipelines.report import seat_figures  # noqa: E402
+from pipelines.report import seat_metrics  # noqa: E402
 from pipelines.seats import texts  # noqa: E402
-from pipelines.session.figures import Event  # noqa: E402
 from pipelines.session.mission_messages import (  # noqa: E402
     ExperimentShown,
     PanelShown,
     RobotStatus,
 )
+from pipelines.session.session_metrics import Event  # noqa: E402
 from pipelines.session.training import Exercises  # noqa: E402
-from pipelines.study.desk import StudyFrame, StudyShown  # noqa: E402
+from pipelines.study.trials import StudyFrame, StudyShown  # noqa: E402
 
 FILE = ROOT / "pipelines" / "seats" / "static" / "texts.js"
 HEAD = """/**
@@ -41,7 +41,7 @@ HEAD = """/**
 SENT: Mapping[type[msgspec.Struct], str] = {
     texts.HelloText: "",
     texts.StateText: "",
-    seat_figures.SeatMessage: "",
+    seat_metrics.SeatMessage: "",
     texts.AnswerText: "",
     texts.ChatText: "",
     texts.CommandsText: "",
@@ -63,14 +63,14 @@ NAMES = {
     ExperimentShown: "ExperimentText",
     PanelShown: "PanelText",
     RobotStatus: "RobotText",
-    seat_figures.SeatDirection: "LinkCounts",
-    seat_figures.SeatMessage: "FiguresText",
-    seat_figures.SeatProcess: "ProcessText",
+    seat_metrics.SeatDirection: "LinkCounts",
+    seat_metrics.SeatMessage: "FiguresText",
+    seat_metrics.SeatProcess: "ProcessText",
 }
 REQUESTS = (*get_args(texts.SeatRequest), texts.InputRequest)
 #: Unions with a name of their own.
 ALIASES = {
-    "Figure": seat_figures.Figure,
+    "Figure": seat_metrics.Figure,
     "Level": texts.Level,
     "Verb": get_type_hints(texts.CommandRequest)["verb"],
 }

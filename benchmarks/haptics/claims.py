@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from benchmarks.haptics.cell import MODES
-from benchmarks.haptics.figures import STEP_N, SWING_N, CellFigures
+from benchmarks.haptics.haptics_metrics import STEP_N, SWING_N, CellMetrics
 
 #: Energy totals are sent in whole µJ, rounded down.
 ROUNDING_UJ = 1.0
@@ -23,20 +23,20 @@ class Claim:
     holds: bool
 
 
-def claims(found: Sequence[CellFigures]) -> list[Claim]:
+def claims(found: Sequence[CellMetrics]) -> list[Claim]:
     """The claims about each mode with its controllers, each checked on the worst cell."""
     made: list[Claim] = []
-    for mode in dict.fromkeys(figures.cell.mode for figures in found):
+    for mode in dict.fromkeys(metrics.cell.mode for metrics in found):
         rows = [f for f in found if (f.cell.mode, f.cell.passive) == (mode, "on")]
         for text, unit, value, most in _bounds(mode) if rows else ():
             worst = max(rows, key=value)
-            broken = sum(value(figures) > most for figures in rows)
+            broken = sum(value(metrics) > most for metrics in rows)
             words = f"{broken} of {len(rows)} break it; most {value(worst):.2f} {unit}"
             made.append(Claim(f"{mode}: {text}", f"{words}: {worst.cell.name}", not broken))
     return made
 
 
-_Bound = tuple[str, str, Callable[[CellFigures], float], float]
+_Bound = tuple[str, str, Callable[[CellMetrics], float], float]
 
 
 def _bounds(mode: str) -> Iterator[_Bound]:
@@ -58,7 +58,7 @@ def _bounds(mode: str) -> Iterator[_Bound]:
     yield text, "N", lambda f: f.step_n_ms, RISE_N_MS
 
 
-def needed(without: Sequence[CellFigures]) -> Claim:
+def needed(without: Sequence[CellMetrics]) -> Claim:
     """The claim that the controllers are needed, checked on runs without them."""
     swung = sum(f.unstable for f in without)
     made = sum(f.network_uj > ROUNDING_UJ for f in without)

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from benchmarks.haptics.cell import MODES, Cell, kept_cells, random_cells, read_cell
 from benchmarks.haptics.claims import Claim, claims, needed
-from benchmarks.haptics.figures import SUMMED, CellFigures
 from benchmarks.haptics.grid import run_grid
+from benchmarks.haptics.haptics_metrics import SUMMED, CellMetrics
 from benchmarks.haptics.run import CONTROLLER
 from benchmarks.haptics.summary import Summary, summaries
 from kontur_av.errors import ConfigError
@@ -75,10 +75,10 @@ def run(args: argparse.Namespace) -> int:
         find_part(name, CONTROLLER)
     cells = _cells(args)
     console = open_console(args)
-    found: list[CellFigures] = []
+    found: list[CellMetrics] = []
     progress = Progress(len(cells), "cells")
     with cluster_of(args) as cluster:
-        for figures in run_grid(
+        for metrics in run_grid(
             cells,
             seed=args.seed,
             jobs=jobs,
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
             controllers=controllers,
             traces=args.traces,
         ):
-            found.append(figures)
+            found.append(metrics)
             progress.told(len(found))
     over = list(summaries(found))
     for who in dict.fromkeys(cell.who for cell in cells):
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
             console.print(_group_table([e for e in rows if e.grouping in ("all", grouping)]))
         console.print(_worst_table([each for each in rows if each.grouping == "all"]))
     checked = claims(found)
-    without = [figures for figures in found if figures.cell.passive == "off"]
+    without = [metrics for metrics in found if metrics.cell.passive == "off"]
     if without:
         checked.append(needed(without))
     console.print(_claim_table(checked))
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         "controllers": list(controllers),
         "claims": as_json(checked),
         "summaries": as_json(over),
-        "cells": [_row(figures) for figures in found],
+        "cells": [_row(metrics) for metrics in found],
     }
     write_result(args.report, result, _headlines(found, checked))
     return 0 if all(claim.holds for claim in checked) else 1
@@ -125,16 +125,16 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
     return [replace(cell, mode=mode, envelope=envelope) for mode in modes for cell in base]
 
 
-def _row(figures: CellFigures) -> Json:
-    row = as_json(figures)
+def _row(metrics: CellMetrics) -> Json:
+    row = as_json(metrics)
     assert isinstance(row, dict)
-    return {"name": figures.cell.name, **row, "unstable": figures.unstable}
+    return {"name": metrics.cell.name, **row, "unstable": metrics.unstable}
 
 
-def _headlines(found: Sequence[CellFigures], checked: Sequence[Claim]) -> list[Headline]:
+def _headlines(found: Sequence[CellMetrics], checked: Sequence[Claim]) -> list[Headline]:
     headlines = []
-    for who in dict.fromkeys(figures.cell.who for figures in found):
-        of = [figures for figures in found if figures.cell.who == who]
+    for who in dict.fromkeys(metrics.cell.who for metrics in found):
+        of = [metrics for metrics in found if metrics.cell.who == who]
         for what, unit, value in (
             ("cells", "", len(of)),
             ("unstable cells", "", sum(f.unstable for f in of)),

@@ -7,11 +7,11 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.haptics.cell import Cell
-from benchmarks.haptics.figures import CellFigures, figures
+from benchmarks.haptics.haptics_metrics import CellMetrics, metrics
 from benchmarks.haptics.run import run_cell
 from benchmarks.haptics.traces import write_trace
 from kontur_av.errors import ConfigError
-from pipelines.virtual.campaign.figures import Crash
+from pipelines.virtual.campaign.campaign_metrics import Crash
 from pipelines.virtual.campaign.sessions import Cluster
 
 
@@ -23,7 +23,7 @@ def run_grid(
     cluster: Cluster | None = None,
     controllers: tuple[str, str] = ("", ""),
     traces: Path | None = None,
-) -> Iterator[CellFigures]:
+) -> Iterator[CellMetrics]:
     """Figures of each of `cells`, in order, as they are known.
 
     controllers: see `run_cell`. traces: the directory for a trace of each.
@@ -43,9 +43,9 @@ def run_grid(
 
 
 def _in_order(
-    cluster: Cluster, run: Callable[[Cell], CellFigures], cells: Sequence[Cell]
-) -> Iterator[CellFigures]:
-    found: dict[int, CellFigures] = {}
+    cluster: Cluster, run: Callable[[Cell], CellMetrics], cells: Sequence[Cell]
+) -> Iterator[CellMetrics]:
+    found: dict[int, CellMetrics] = {}
     following = 0
     for number, result in cluster.results(run, cells):
         if isinstance(result, Crash):
@@ -58,9 +58,9 @@ def _in_order(
 
 def _run(
     cell: Cell, *, seed: int, controllers: tuple[str, str], traces: Path | None
-) -> CellFigures:
+) -> CellMetrics:
     planned, course = run_cell(cell, seed=seed, controllers=controllers)
-    found = figures(cell, planned, course)
+    found = metrics(cell, planned, course)
     if traces is not None:
         write_trace(traces, planned, course, found, seed=seed, controllers=controllers)
     return found

@@ -15,7 +15,7 @@ from benchmarks.haptics.channel import SampleChannel
 from benchmarks.haptics.hands import HeldHand
 from benchmarks.haptics.plan import CellPlan, plan
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.parts import PartDoor, find_part
+from kontur_av.parts import PluginRegistry, find_part
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
 from telepresence.haptics.envelope import SafetyEnvelope
@@ -28,7 +28,7 @@ SCHEMA = (Path(__file__).parent / "trace.schema.json").read_text(encoding="utf-8
 COLUMNS = tuple(json.loads(SCHEMA)["properties"])
 #: A user's controller has what `JoystickController` or `RobotController` has for its side, and
 #: `handle_wall(datagram)`, if it wants the walls that the robot's side of `mediated` estimates.
-CONTROLLER = PartDoor("controller", "module:Class", "kontur_av.haptic_controllers")
+CONTROLLER = PluginRegistry("controller", "module:Class", "kontur_av.haptic_controllers")
 #: The hand may wait for so long where it has to press again.
 _WAITS_NS = 20 * NS_PER_S
 
@@ -67,11 +67,11 @@ class _Ends:
         self.start("both")
 
     def start(self, which: str) -> None:
-        """Begin a new life of the end `which`, or of `both`."""
+        """Begin a new start of the end `which`, or of `both`."""
         joystick, robot = self._classes
         if which != "robot":
             self.lives[0] += 1
-            link = joystick_link(life=self.lives[0], deadband=self._deadband)
+            link = joystick_link(boot_id=self.lives[0], deadband=self._deadband)
             self.joystick = JoystickSide(handle=self.handle, link=link, **self._options)
             if joystick is not None:
                 self.joystick.controller = joystick()
@@ -80,7 +80,7 @@ class _Ends:
         if which != "joystick":
             self.lives[1] += 1
             self.envelope = SafetyEnvelope() if self._cell.envelope == "on" else None
-            back = robot_link(life=self.lives[1], deadband=self._deadband)
+            back = robot_link(boot_id=self.lives[1], deadband=self._deadband)
             options = {**self._options, "envelope": self.envelope}
             self.robot = RobotSide(robot=self.tip, link=back, **options)
             if robot is not None:

@@ -6,8 +6,8 @@ from math import nan
 from statistics import median
 
 from benchmarks.haptics.cell import BAND_NAMES, Cell
-from benchmarks.haptics.figures import SUMMED, CellFigures
 from benchmarks.haptics.hands import HANDS
+from benchmarks.haptics.haptics_metrics import SUMMED, CellMetrics
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +32,9 @@ _GROUPINGS: Mapping[str, tuple[Callable[[Cell], str], Sequence[str]]] = {
 }
 
 
-def summaries(found: Sequence[CellFigures]) -> Iterator[Summary]:
+def summaries(found: Sequence[CellMetrics]) -> Iterator[Summary]:
     """Each figure by controllers: over all cells, by band of the round trip, and by hand."""
-    for who in dict.fromkeys(figures.cell.who for figures in found):
+    for who in dict.fromkeys(metrics.cell.who for metrics in found):
         for grouping, (name_of, names) in _GROUPINGS.items():
             for name in names:
                 group = [f for f in found if (f.cell.who, name_of(f.cell)) == (who, name)]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mcap.writer import Writer
 
-from benchmarks.haptics.figures import SUMMED, CellFigures
+from benchmarks.haptics.haptics_metrics import SUMMED, CellMetrics
 from benchmarks.haptics.plan import CellPlan
 from benchmarks.haptics.run import COLUMNS, SCHEMA, Course
 from kontur_av.clock import NS_PER_MS
@@ -19,13 +19,13 @@ def write_trace(
     directory: Path,
     planned: CellPlan,
     course: Course,
-    figures: CellFigures,
+    metrics: CellMetrics,
     *,
     seed: int,
     controllers: Sequence[str],
 ) -> Path:
     """Write a run as `NAME.mcap` into `directory`; return the file. It is the same every time."""
-    cell = figures.cell
+    cell = metrics.cell
     path = directory / f"{cell.name}.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -33,7 +33,7 @@ def write_trace(
         of = {**asdict(cell), "seed": seed}
         of["joystick_controller"], of["robot_controller"] = controllers
         writer.add_metadata("cell", {name: str(value) for name, value in of.items()})
-        found = {name: str(getattr(figures, name)) for name in SUMMED}
+        found = {name: str(getattr(metrics, name)) for name in SUMMED}
         writer.add_metadata("figures", found)
         phases = {str(number): phase for number, phase in enumerate(planned.phases)}
         writer.add_metadata("phases", phases)

@@ -26,7 +26,7 @@ from pipelines.table import topology_of
 STREAM = "downlink_video"
 _FIRST_PORT = 8290
 #: For a process to end by itself.
-_PATIENCE_S = 5.0
+_TIMEOUT_S = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,7 @@ def forked(run: Callable[..., None], *arguments: Any) -> Iterator[int]:
         yield child.pid
     finally:
         child.terminate()
-        child.join(_PATIENCE_S)
+        child.join(_TIMEOUT_S)
         child.kill()
         child.join()
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from rich.table import Table
 
 from benchmarks.page.browser import lacking
-from benchmarks.page.figures import ALONE, LIVE, DelayRun, PageResult, headlines
 from benchmarks.page.footage import FPS, coded
 from benchmarks.page.heap import heap_run
+from benchmarks.page.page_metrics import ALONE, LIVE, DelayRun, PageResult, headlines
 from benchmarks.page.pointer import pointer_run
 from benchmarks.page.session import PAGES, session_run
 from benchmarks.page.views import CONTENDERS, measured

@@ -3,8 +3,8 @@
 from time import monotonic, sleep
 
 from benchmarks.page.browser import Browser
-from benchmarks.page.figures import HeapRun, HeapSample
-from benchmarks.page.session import PATIENCE_S, live_session
+from benchmarks.page.page_metrics import HeapRun, HeapSample
+from benchmarks.page.session import TIMEOUT_S, live_session
 
 #: The first sample is taken after this time: histories of a minute are full by then.
 FULL_S = 90.0
@@ -15,7 +15,7 @@ def heap_run(seat: str, *, seconds: float, base_port: int) -> HeapRun:
     """Open a seat of a live session for `seconds`; look each 30 s, after a garbage collection."""
     words = ["--base-port", str(base_port), "--radio", "clean"]
     samples: list[HeapSample] = []
-    with live_session(words, seconds + PATIENCE_S) as live, Browser(None) as browser:
+    with live_session(words, seconds + TIMEOUT_S) as live, Browser(None) as browser:
         browser.driver.get(live.url(seat))
         browser.driver.execute_cdp_cmd("Performance.enable", {})
         begun_s = monotonic()

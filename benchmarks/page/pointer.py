@@ -10,7 +10,7 @@ from typing import Any
 from benchmarks.page.alone import forked, page_alone, publish
 from benchmarks.page.browser import Browser
 from benchmarks.page.screen import VirtualScreen
-from benchmarks.page.session import PATIENCE_S, live_session
+from benchmarks.page.session import TIMEOUT_S, live_session
 from benchmarks.page.views import numbers
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from kontur_av.topics.bus import Reader, TopicBus
@@ -43,7 +43,7 @@ def pointer_run(
         screen = stack.enter_context(VirtualScreen(1300, 1000, folder))
         if units is None:
             words = ["--base-port", str(base_port), "--joystick", "page"]
-            live = stack.enter_context(live_session(words, seconds + 2 * PATIENCE_S))
+            live = stack.enter_context(live_session(words, seconds + 2 * TIMEOUT_S))
             url, session = live.url("space"), live.name
         else:
             page = stack.enter_context(page_alone(Segment.SPACE))
@@ -52,7 +52,7 @@ def pointer_run(
             url, session = page.listener.url("space"), page.session
         browser = stack.enter_context(Browser(screen.display))
         browser.open(url, left=0, top=0, width=1280, height=960)
-        until_s = monotonic() + PATIENCE_S
+        until_s = monotonic() + TIMEOUT_S
         while browser.joined_ms() is None:
             if monotonic() > until_s:
                 raise RuntimeError("the page shows no picture")

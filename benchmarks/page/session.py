@@ -12,13 +12,13 @@ from time import monotonic, sleep
 from benchmarks.json_reader import JsonReader
 from benchmarks.page.alone import forked
 from benchmarks.page.browser import Browser
-from benchmarks.page.figures import SessionRun
+from benchmarks.page.page_metrics import SessionRun
 from benchmarks.page.watcher import watch_seat
 from kontur_av.topics.session_files import session_root
 from pipelines.session.command_process import end_all
 
 #: For a session to begin or to end, and for a page to show a picture.
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 _SETUP = "spacejustin"
 #: How a session's pages are: absent, served, read by a program that draws nothing, or in Chromium.
 PAGES = ("none", "nobody looks", "one reader", "open here")
@@ -33,7 +33,7 @@ class Session:
 
     def url(self, seat: str) -> str:
         """Return the address of a seat, once it is known."""
-        until_s = monotonic() + PATIENCE_S
+        until_s = monotonic() + TIMEOUT_S
         file = session_root(self.name) / "pages.json"
         while not file.exists():
             if monotonic() > until_s or self.process.poll() is not None:
@@ -73,7 +73,7 @@ def session_run(page: str, *, seconds: float, base_port: int) -> SessionRun:
         elif page == "open here":
             browser = stack.enter_context(Browser(None))
             browser.driver.get(session.url("space"))
-        session.process.wait(seconds + PATIENCE_S)
+        session.process.wait(seconds + TIMEOUT_S)
         report = JsonReader(json.loads(session.report.read_text()))
     latency = report.at("streams", "uplink_video", "latency_ms")
     page_cpu = None

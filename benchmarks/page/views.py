@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 from benchmarks.page.alone import cpu_s, forked, page_alone, publish
 from benchmarks.page.browser import Browser
-from benchmarks.page.figures import OURS, PEER, ViewRun
 from benchmarks.page.footage import FPS
+from benchmarks.page.page_metrics import OURS, PEER, ViewRun
 from benchmarks.page.screen import Spot, VirtualScreen, watch
 from benchmarks.page.webrtc import serve_webrtc
 from kontur_av.clock import NS_PER_MS
@@ -22,7 +22,7 @@ from pipelines.session.topology import Segment
 
 _WIDTH, _HEIGHT = 820, 1000
 #: Until a window has a picture.
-_PATIENCE_S = 30.0
+_TIMEOUT_S = 30.0
 #: After the last window, before anything counts.
 _SETTLE_S = 2.0
 
@@ -117,7 +117,7 @@ def _count(published: Any) -> int:
 
 def wait_for(ask: Callable[[], Found | None]) -> Found:
     """Return what `ask` finds, once it does. RuntimeError if a window shows no picture."""
-    until_s = monotonic() + _PATIENCE_S
+    until_s = monotonic() + _TIMEOUT_S
     while (found := ask()) is None:
         if monotonic() > until_s:
             raise RuntimeError("a window shows no picture")

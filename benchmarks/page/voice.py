@@ -7,7 +7,7 @@ from time import monotonic, sleep
 
 from benchmarks.page.browser import Browser
 from benchmarks.page.screen import VirtualScreen
-from benchmarks.page.session import PATIENCE_S, live_session
+from benchmarks.page.session import TIMEOUT_S, live_session
 
 _LOOK_S = 0.1
 _SETTLE_S = 3.0
@@ -28,7 +28,7 @@ def voice_run(*, seconds: float, base_port: int) -> list[float]:
         folder = Path(stack.enter_context(TemporaryDirectory()))
         screen = stack.enter_context(VirtualScreen(1800, 900, folder))
         words = ["--base-port", str(base_port), "--radio", "clean"]
-        live = stack.enter_context(live_session(words, seconds + 2 * PATIENCE_S))
+        live = stack.enter_context(live_session(words, seconds + 2 * TIMEOUT_S))
         browser = stack.enter_context(Browser(screen.display, flags=["--window-size=900,800"]))
         browser.open(live.url("ground"), left=0, top=0, width=880, height=800)
         _wait(browser, "return document.body.dataset.link === 'connected'")
@@ -50,7 +50,7 @@ def voice_run(*, seconds: float, base_port: int) -> list[float]:
 
 
 def _wait(browser: Browser, script: str) -> None:
-    until_s = monotonic() + PATIENCE_S
+    until_s = monotonic() + TIMEOUT_S
     while not browser.driver.execute_script(script):
         if monotonic() > until_s:
             raise RuntimeError(f"waited in vain for: {script}")

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from benchmarks.json_reader import JsonReader
 from kontur_av.clock import NS_PER_MS
-from pipelines.recording.messages import (
+from pipelines.recording.recorded_messages import (
     NO_SAMPLE,
     LinkReceived,
     LinkSent,
     RecordedSound,
-    UnitFacts,
+    UnitMetadata,
     unpack,
     unpack_haptics,
 )
@@ -73,13 +73,13 @@ class Recount:
             return
         way, *rest = rest
         if rest == ["facts"]:
-            facts = unpack(UnitFacts, data)
-            if facts.added:
+            metadata = unpack(UnitMetadata, data)
+            if metadata.added:
                 return
             channel = f"/{name}/{way}"
             self.units[channel] += 1
-            self.octets[channel] += facts.octets
-            if facts.dated and not facts.refused:
+            self.octets[channel] += metadata.octets
+            if metadata.dated and not metadata.refused:
                 self.latencies_ms[channel].append(late_ms)
         elif name.endswith("_voice"):
             self.units[topic] += 1

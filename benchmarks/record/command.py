@@ -12,7 +12,7 @@ from rich.table import Table
 
 from benchmarks.json_reader import JsonReader
 from benchmarks.record.agreement import compare
-from benchmarks.record.figures import (
+from benchmarks.record.record_metrics import (
     Cuts,
     Kill,
     RecordResult,

@@ -10,16 +10,16 @@ from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
 
-from benchmarks.record.figures import Kill, kill_of, scan_part
+from benchmarks.record.record_metrics import Kill, kill_of, scan_part
 from kontur_av.errors import ConfigError
 from pipelines.recording.part_files import part_path
 from pipelines.session.command_process import end_all, ended_alike
 
 #: A session for so many kills at most, so that none becomes too long.
 _KILLS_A_SESSION = 20
-#: A life of the recorder that is killed, from its first octets on.
+#: A start of the recorder that is killed, from its first octets on.
 _LIFE_S = (0.7, 2.5)
-_PATIENCE_S = 30.0
+_TIMEOUT_S = 30.0
 _NAME = "kav recorder"
 
 
@@ -52,7 +52,7 @@ def _session(setup: str, count: int, random: Random, base_port: int) -> Iterator
                 _await(process, part_path(path, count + 1))
                 time.sleep(_LIFE_S[0])
                 process.send_signal(signal.SIGINT)
-                process.wait(_PATIENCE_S)
+                process.wait(_TIMEOUT_S)
             except (RuntimeError, subprocess.TimeoutExpired) as error:
                 text = errors.read_text(encoding="utf-8", errors="replace").strip()
                 if process.poll() == 2:
@@ -84,7 +84,7 @@ def _kill(process: subprocess.Popen[bytes], path: Path, random: Random) -> int:
 
 def _await(process: subprocess.Popen[bytes], path: Path) -> None:
     """Wait until there are messages in a part."""
-    end_s = time.monotonic() + _PATIENCE_S
+    end_s = time.monotonic() + _TIMEOUT_S
     while not path.exists() or path.stat().st_size < 20_000:
         if process.poll() is not None:
             raise RuntimeError("the session has ended")

@@ -13,7 +13,10 @@ from rich.table import Table
 
 from benchmarks.page.browser import lacking as browser_lacking
 from benchmarks.page.footage import FPS, coded
-from benchmarks.rtc.figures import (
+from benchmarks.rtc.network import lacking as network_lacking
+from benchmarks.rtc.pixel import SPARE_S, pixel_run
+from benchmarks.rtc.reception import reception_run
+from benchmarks.rtc.rtc_metrics import (
     IDLE,
     LEGS,
     NO_LEG,
@@ -25,9 +28,6 @@ from benchmarks.rtc.figures import (
     SessionRun,
     headlines,
 )
-from benchmarks.rtc.network import lacking as network_lacking
-from benchmarks.rtc.pixel import SPARE_S, pixel_run
-from benchmarks.rtc.reception import reception_run
 from benchmarks.rtc.session import session_run
 from kontur_av.errors import ConfigError
 from pipelines.bench.course.marks import NUMBERS

@@ -17,7 +17,7 @@ from benchmarks.page.browser import Browser
 from benchmarks.page.footage import FPS, HEIGHT, WIDTH, pictures
 from benchmarks.page.screen import VirtualScreen, watch
 from benchmarks.page.views import numbers, wait_for
-from benchmarks.rtc.figures import PixelRun
+from benchmarks.rtc.rtc_metrics import PixelRun
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from pipelines.report.result import spread
 from pipelines.session.command_process import end_all

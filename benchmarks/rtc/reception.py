@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benchmarks.page.alone import forked
 from benchmarks.page.footage import FPS, HEIGHT, WIDTH
 from benchmarks.page.views import numbers
-from benchmarks.rtc.figures import OURS, ReceptionRun
+from benchmarks.rtc.rtc_metrics import OURS, ReceptionRun
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.codecs.opus import OpusEncoder

@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 from time import monotonic, sleep
 
 from benchmarks.json_reader import JsonReader
-from benchmarks.page.session import PATIENCE_S, Session, live_session
-from benchmarks.rtc.figures import CUT, FULL, IDLE, NO_LEG, SessionRun
+from benchmarks.page.session import TIMEOUT_S, Session, live_session
 from benchmarks.rtc.network import HOST, Network
 from benchmarks.rtc.partner import write_units
+from benchmarks.rtc.rtc_metrics import CUT, FULL, IDLE, NO_LEG, SessionRun
 from kontur_av.topics.session_files import session_root
 from pipelines.session.command_process import end_all
 
@@ -39,7 +39,7 @@ def session_run(
             if leg == CUT:
                 sleep(seconds / 2)
                 network.cut()
-        session.process.wait(seconds + PATIENCE_S)
+        session.process.wait(seconds + TIMEOUT_S)
         report = JsonReader(json.loads(session.report.read_text()))
     return read_session(leg, report)
 
@@ -70,7 +70,7 @@ def _partner(
 ) -> Iterator[None]:
     """A partner in its own network, for as long as the session runs."""
     told = session_root(session.name) / "rtc.json"
-    until_s = monotonic() + PATIENCE_S
+    until_s = monotonic() + TIMEOUT_S
     while not told.exists() or not told.read_text().endswith("}\n"):
         if monotonic() > until_s or session.process.poll() is not None:
             raise RuntimeError("the session has no leg to a partner")

@@ -39,7 +39,7 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.command import FPS, Trial, TrialTerms, check_options, measure
 from pipelines.bench.video.contenders import Contender, ContenderError
-from pipelines.bench.video.figures import (
+from pipelines.bench.video.quality import (
     VideoVerdict,
     headlines,
     judge,
@@ -143,14 +143,14 @@ def run(args: argparse.Namespace) -> int:
         for these in terms:
             measured = _measured(contenders, clip, these, shots, say)
             failed |= len(measured) < len(contenders)
-            figures = {who: trial.figures for who, trial in measured.items()}
+            metrics = {who: trial.metrics for who, trial in measured.items()}
             rate = f"{these.cap_kbps:g} kbit/s through {these.channel_kbps:g}"
-            for who, result in figures.items():
+            for who, result in metrics.items():
                 for note in notes(who, result):
                     say(note)
             targets = WIDE if these.wide else NARROW if clip.tuned_on else STRANGE
-            verdicts = judge(figures, targets, these.cap_kbps)
-            console.print(*headline_tables(headlines(f"{name}, {rate}", figures, verdicts)))
+            verdicts = judge(metrics, targets, these.cap_kbps)
+            console.print(*headline_tables(headlines(f"{name}, {rate}", metrics, verdicts)))
             if args.crops:
                 kept = {who: trial.shots for who, trial in measured.items()}
                 for path in write_crops(args.crops, clip, these.cap_kbps, kept):
@@ -180,7 +180,7 @@ def _groups(
         for group in (TUNED_ON, OTHERS):
             these = [of for of in results if (of.rate, of.group) == (rate, group)]
             rows = group_rows(
-                [{who: trial.figures for who, trial in of.measured.items()} for of in these]
+                [{who: trial.metrics for who, trial in of.measured.items()} for of in these]
             )
             if rows:
                 verdicts = group_verdicts({of.clip: of.verdicts for of in these})
@@ -194,7 +194,7 @@ def _report(results: Sequence[ClipResult]) -> dict[str, Json]:
     for of in results:
         clip: dict[str, Json] = {"group": of.group, "targets": as_json(of.verdicts)}
         for who, trial in of.measured.items():
-            row = as_json(trial.figures)
+            row = as_json(trial.metrics)
             assert isinstance(row, dict)
             clip[who] = row | {"latencies_ms": as_json(trial.latencies_ms)}
         found.setdefault(of.rate, {})[of.clip] = clip
@@ -204,8 +204,8 @@ def _report(results: Sequence[ClipResult]) -> dict[str, Json]:
 def _headlines(results: Sequence[ClipResult]) -> list[Headline]:
     found: list[Headline] = []
     for of in results:
-        figures = {who: trial.figures for who, trial in of.measured.items()}
-        found += headlines(f"{of.clip}, {of.rate}", figures, of.verdicts)
+        metrics = {who: trial.metrics for who, trial in of.measured.items()}
+        found += headlines(f"{of.clip}, {of.rate}", metrics, of.verdicts)
     for title, rows, verdicts in _groups(results):
         found += group_headlines(title, rows, verdicts)
     return found

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kontur_av.errors import ConfigError
 from pipelines.bench.course.marks import MARK_ROWS
 from pipelines.bench.video.clips import Clip
-from pipelines.bench.video.figures import Luma, psnr_db
+from pipelines.bench.video.quality import Luma, psnr_db
 
 #: Where in the time that counts pictures are taken.
 _PARTS = (1 / 4, 1 / 2, 3 / 4)

@@ -4,20 +4,20 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pipelines.bench.video.figures import ContenderFigures, VideoVerdict
+from pipelines.bench.video.quality import ContenderMetrics, VideoVerdict
 from pipelines.report.result import Headline
 
 TUNED_ON, OTHERS = "clips that settings were tuned on", "clips that no setting was tuned on"
 
 #: What is shown of a group: heading, unit, value of a clip, and how clips are taken together.
-_Row = tuple[str, str, Callable[[ContenderFigures], float], Callable[[Sequence[float]], float]]
+_Row = tuple[str, str, Callable[[ContenderMetrics], float], Callable[[Sequence[float]], float]]
 
 
 def _mean(values: Sequence[float]) -> float:
     return math.fsum(values) / len(values)
 
 
-def _vmaf(found: ContenderFigures, worst: bool) -> float:
+def _vmaf(found: ContenderMetrics, worst: bool) -> float:
     if found.vmaf is None:
         return math.nan
     return found.vmaf.worst if worst else found.vmaf.mean
@@ -48,7 +48,7 @@ class GroupRow:
     values: Mapping[str, float]
 
 
-def group_rows(clips: Sequence[Mapping[str, ContenderFigures]]) -> list[GroupRow]:
+def group_rows(clips: Sequence[Mapping[str, ContenderMetrics]]) -> list[GroupRow]:
     """The figures of the contenders that were measured on every clip. clips: each by contender."""
     if not clips:
         return []

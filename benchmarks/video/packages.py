@@ -21,7 +21,7 @@ from typing import Literal
 
 from kontur_av.errors import ConfigError
 
-_PATIENCE_S = 900.0
+_TIMEOUT_S = 900.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +153,7 @@ def _download(clip: PackagedClip, folder: Path) -> Path:
         command = ["apt-get", "download", "--quiet", f"{clip.package}={clip.version}"]
     try:
         done = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, timeout=_PATIENCE_S, check=False
+            command, cwd=folder, capture_output=True, text=True, timeout=_TIMEOUT_S, check=False
         )
     except subprocess.TimeoutExpired:
         raise ConfigError(f"clip {clip.name}: the download of {clip.package} hangs") from None

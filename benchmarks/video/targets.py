@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from pipelines.bench.video.figures import ALONE, CAPS, P99, Target
+from pipelines.bench.video.quality import ALONE, CAPS, P99, Target
 
 #: Two encoders of GStreamer, and Chromium with two codecs.
 DEFAULT, TUNED = "gst-default", "gst-tuned"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from kontur_av.media import NEUTRAL_CHROMA
 
-_PATIENCE_S = 600.0
+_TIMEOUT_S = 600.0
 
 Luma = NDArray[np.uint8]
 
@@ -69,7 +69,7 @@ def vmaf(pairs: Iterable[tuple[Luma, Luma]]) -> list[float]:
             cwd=folder,
             capture_output=True,
             text=True,
-            timeout=_PATIENCE_S,
+            timeout=_TIMEOUT_S,
             check=False,
         )
         if done.returncode:

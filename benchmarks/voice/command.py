@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"no GStreamer: {absent}")
     setup = load_setup(_SETUP)
     track = speech_track(args.seconds)
-    figures: dict[str, list[VoiceRow]] = {}
+    metrics: dict[str, list[VoiceRow]] = {}
     panels = {}
     for stream in (setup.uplink_voice, setup.downlink_voice):
         assert stream is not None
@@ -103,17 +103,17 @@ def run(args: argparse.Namespace) -> int:
         table = _table(stream, track)
         rows, curves = [], {}
         for network, who, heard in _runs(args, track, stream, live=absent is None):
-            row = _figures(track, network, who, heard)
+            row = _metrics(track, network, who, heard)
             rows.append(row)
             _add(table, row)
             if not network.bursts and network.loss in (0.0, _LOSSES[-1]):
                 label = f"{who}, {100 * network.loss:g} % lost"
                 curves[label] = [value / NS_PER_MS for value in heard.mouth_to_ear_ns]
         console.print(table)
-        figures[name] = rows
+        metrics[name] = rows
         panels[f"mouth to ear, voice at {name}"] = curves
-    result = VoiceResult(track.blocks * BLOCK_NS / 1e9, figures)
-    write_result(args.report, result, _headlines(figures))
+    result = VoiceResult(track.blocks * BLOCK_NS / 1e9, metrics)
+    write_result(args.report, result, _headlines(metrics))
     if args.plot is not None:
         save(distributions(panels, axis="mouth to ear, ms"), args.plot)
     return 0
@@ -149,9 +149,9 @@ def _runs(
                 yield network, f"GStreamer, {peer.latency_ms} ms", heard
 
 
-def _headlines(figures: Mapping[str, Sequence[VoiceRow]]) -> list[Headline]:
+def _headlines(metrics: Mapping[str, Sequence[VoiceRow]]) -> list[Headline]:
     found = []
-    for name, rows in figures.items():
+    for name, rows in metrics.items():
         for row in rows:
             ms = row.mouth_to_ear_ms
             for what, unit, value in (
@@ -166,7 +166,7 @@ def _headlines(figures: Mapping[str, Sequence[VoiceRow]]) -> list[Headline]:
     return found
 
 
-def _figures(track: Track, network: Network, who: str, heard: Heard) -> VoiceRow:
+def _metrics(track: Track, network: Network, who: str, heard: Heard) -> VoiceRow:
     latency = spread([round(ns / NS_PER_MS, 1) for ns in heard.mouth_to_ear_ns])
     scores = quality(track, heard.samples, heard.lag_samples) if pesq_is_there() else []
     open_to_loss = max(1, track.blocks - LEAD_IN_BLOCKS)

@@ -18,7 +18,7 @@ from benchmarks.voice.virtual import Heard
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, Pcm
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from kontur_av.sources.source import BLOCK_NS
 from pipelines.bench.video.contenders import open_udp_ports
 from pipelines.session.command_process import ended_alike
@@ -31,7 +31,7 @@ _MTU = 4000
 #: From open ports to the first block: the pipelines still start.
 _START_NS = 1500 * NS_PER_MS
 #: How long the pipelines may take to open their ports; the bench then begins without late ones.
-_PATIENCE_NS = 20 * NS_PER_S
+_TIMEOUT_NS = 20 * NS_PER_S
 #: After the last block, until it has been played.
 _END_NS = 700 * NS_PER_MS
 #: The `alignment-threshold` of GstAudioBaseSink.
@@ -132,7 +132,7 @@ def _start_sender(stack: ExitStack, cap_bps: int, port: int) -> int:
 def _wait_for_ports(ports: set[int]) -> None:
     """Wait until all are open, because a receiver loses what is sent earlier."""
     clock = MonotonicClock()
-    deadline_ns = clock.now_ns() + _PATIENCE_NS
+    deadline_ns = clock.now_ns() + _TIMEOUT_NS
     while not ports <= open_udp_ports() and clock.now_ns() < deadline_ns:
         clock.sleep_until_ns(clock.now_ns() + 50 * NS_PER_MS)
 
@@ -248,7 +248,7 @@ def laid_out(arrivals: Sequence[tuple[int, int, Pcm]]) -> tuple[Pcm, list[tuple[
     line = np.zeros(0, np.int16)
     places, pieces, at = [], [line], 0
     for instant_ns, timestamp, sound in arrivals:
-        missing = signed(timestamp - first) - at
+        missing = serial_difference(timestamp - first) - at
         if missing > _ALIGNMENT_NS * AUDIO_CLOCK_HZ // NS_PER_S:
             pieces.append(np.zeros(missing, np.int16))
             at += missing

@@ -26,7 +26,7 @@ from kontur_av.codecs.coding import coded_size_for
 from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from pipelines.bench.video.figures import percentiles, psnr_db, ssim, summarise
+from pipelines.bench.video.quality import percentiles, psnr_db, ssim, summarise
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 CAP_BPS, CHANNEL_BPS = 85_000, 88_000

@@ -19,7 +19,7 @@ from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.media import VIDEO_CODECS, CaptureStamp, VideoCodec, VideoFrame, empty_picture
 from pipelines.bench.video.clips import Clip
-from pipelines.bench.video.figures import psnr_db
+from pipelines.bench.video.quality import psnr_db
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 CAP_BPS, CHANNEL_BPS = 85_000, 88_000

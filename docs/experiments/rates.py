@@ -48,7 +48,7 @@ def psnr(one: np.ndarray, other: np.ndarray) -> float:
     return float(10 * np.log10(255**2 / max(error, 0.01)))
 
 
-def figures(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
+def metrics(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
     """Send a clip, and return its figures as a row."""
     sender = VideoSender(
         cap_bps=cap_bps,
@@ -133,7 +133,7 @@ def main() -> None:
     for name in options.clip or (*FOOTAGE, SCENE, *(one.name for one in PACKAGED)):
         shot = clip(name)
         for camera_hz, coded_hz in (*ways, (60, 60)):
-            print(f"| {name} {figures(shot, camera_hz, coded_hz, cap_bps)}", flush=True)
+            print(f"| {name} {metrics(shot, camera_hz, coded_hz, cap_bps)}", flush=True)
 
 
 if __name__ == "__main__":

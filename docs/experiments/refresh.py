@@ -28,12 +28,12 @@ from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.scaling import shrink
 from kontur_av.media import I420, CaptureStamp, VideoFrame, empty_picture
 from pipelines.bench.video.clips import Clip, mirrored
-from pipelines.bench.video.figures import psnr_db
+from pipelines.bench.video.quality import psnr_db
 from telepresence.world import render, scripted_state
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 CAP_BPS, CHANNEL_BPS = 85_000, 88_000
-#: What the strangers and the tuned clips use of the cap.
+#: What the unknown senders and the tuned clips use of the cap.
 USED_BPS = 72_000
 CODING_S, DECODING_S = 0.003, 0.001
 PACKET_OCTETS, HEADER_OCTETS = 1200, 13
@@ -89,8 +89,8 @@ def coded(clip: Clip, wave_s: float, key_s: float | None) -> tuple[str, Units]:
             quality.append(psnr_db(shown[:HEIGHT], clip.luma(number)))
     worst = np.sort(quality)[: max(len(quality) // 20, 1)].mean()
     p50, p99 = np.percentile(latency_ms, (50, 99))
-    figures = f"{np.mean(quality):.2f}/{worst:.2f} | {p50:.0f}/{p99:.0f}/{max(latency_ms):.0f}"
-    return figures, units
+    metrics = f"{np.mean(quality):.2f}/{worst:.2f} | {p50:.0f}/{p99:.0f}/{max(latency_ms):.0f}"
+    return metrics, units
 
 
 def pictures(units: Units) -> dict[int, I420]:

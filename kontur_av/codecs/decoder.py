@@ -194,7 +194,7 @@ class VideoDecoder:
         try:
             check_size(width, height)
             if frame.format.name not in ("yuv420p", "yuvj420p"):
-                # In one step with the colours: their mend for odd ones holds here, too.
+                # In one step with the colours: their fix for odd ones holds here, too.
                 frame = as_i420(_SCALER.own, frame, frame.width, frame.height, "BILINEAR")
         except (ConfigError, av.FFmpegError, ValueError):
             self.counts.frames_corrupt += 1

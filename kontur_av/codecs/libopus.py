@@ -52,7 +52,7 @@ def set_state(encoder: Any, state: bytes) -> None:
 def load() -> LibOpus:
     """Import opuslib with the libopus of this machine. Later calls return the first result.
 
-    Raises ConfigError, which names the mend, without a system libopus and PyAV's.
+    Raises ConfigError, which names the fix, without a system libopus and PyAV's.
     """
     system = ctypes.util.find_library("opus")
     carried = None if system else carried_by_pyav()

@@ -41,12 +41,12 @@ _FEW = 5
 _SETTLING_S = 3.0
 #: How long another size would have to be better before it is taken; doubled after each growth in
 #: vain. A change costs about 150 dB, summed over pictures; a better size brings 1 to 4 dB each.
-_PATIENCE_S = 4.5
+_TIMEOUT_S = 4.5
 _LONGEST_S = 60.0
 #: The size grows above the usual one if scaling loses this many times as much as coding.
 _SCALING_LOSES = 1.5
 #: Soon after the first picture, and after a cut, nothing sharp is lost by a key picture. So between
-#: these times the size grows without patience, and this is enough.
+#: these times the size grows without timeout, and this is enough.
 _EARLY_S, _EARLY_UNTIL_S = 0.6, 2.0
 _LOSES_EARLY = 1.2
 #: The quantiser of a picture that stands falls by at least this much after its size grew.
@@ -88,7 +88,7 @@ class SizeChoice:
         #: Pictures since the first one or the last cut, and the sum of the motion in them.
         self._age = 0
         self._moved = 0.0
-        self._patience_s = _PATIENCE_S
+        self._timeout_s = _TIMEOUT_S
         #: Pictures since the size grew.
         self._grown: int | None = None
         self._late = False
@@ -97,7 +97,7 @@ class SizeChoice:
         """Go to the size `usual` with a key picture. It and `largest` hold from now on."""
         self.changes += usual != self.index
         self.index, self._usual, self._last_index = usual, usual, largest
-        self._grown, self._patience_s, self._late = None, _PATIENCE_S, False
+        self._grown, self._timeout_s, self._late = None, _TIMEOUT_S, False
         self._pictures = self._waited = self._age = 0
         self._moved = 0.0
 
@@ -122,7 +122,7 @@ class SizeChoice:
             self._change(self._usual)
         elif self._stands_early():
             self._change(self._last_index)
-        elif self._waited > self._patience_s * self._rate_hz:
+        elif self._waited > self._timeout_s * self._rate_hz:
             self._change(self._better())
         return self.index
 
@@ -158,7 +158,7 @@ class SizeChoice:
         if self._grown is not None:
             self._grown += 1
             if self._grown > _VAIN_S * self._rate_hz:
-                self._grown, self._patience_s = None, _PATIENCE_S
+                self._grown, self._timeout_s = None, _TIMEOUT_S
 
     def _better(self) -> int:
         settled = self._pictures > _SETTLING_S * self._rate_hz
@@ -176,7 +176,7 @@ class SizeChoice:
         return (
             _EARLY_S * self._rate_hz < self._age < _EARLY_UNTIL_S * self._rate_hz
             and self.index == self._usual
-            and self._patience_s == _PATIENCE_S
+            and self._timeout_s == _TIMEOUT_S
             and self._moved < _STILL * self._age
             and self._grown_index(_LOSES_EARLY) == self._last_index > self._usual
         )
@@ -202,7 +202,7 @@ class SizeChoice:
         if index > self.index:
             self._grown = 0
         elif self._grown is not None:
-            self._patience_s = min(2 * self._patience_s, _LONGEST_S)
+            self._timeout_s = min(2 * self._timeout_s, _LONGEST_S)
             self._grown = None
         self.index = index
         self.changes += 1

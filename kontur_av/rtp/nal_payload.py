@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.media import VideoCodec
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 
 if TYPE_CHECKING:
@@ -497,7 +497,7 @@ class NalDepacketizer:
     def _units_lost(self) -> int:
         """How many pictures were lost whole before this one, by packets and timestamps."""
         before, self._newest = self._newest, self._timestamp
-        step = 0 if before is None else signed(self._timestamp - before)
+        step = 0 if before is None else serial_difference(self._timestamp - before)
         if step <= 0:
             return 0
         if not self._lost_before:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from kontur_av.rtp.arrivals import REORDER_DEPTH_NS, ReorderDepth
 from kontur_av.rtp.reports import ReceptionLog
 from kontur_av.rtp.sender_clock import SenderClock
@@ -314,7 +314,7 @@ class RtpReceiver:
         if held and held[0].packet.ssrc != packet.ssrc:
             known = self._from is not None and self._candidate_from == self._from
             if known and source != self._from:
-                # A stranger does not keep a sender that begins anew from being accepted.
+                # An unknown sender does not keep a sender that begins anew from being accepted.
                 self.counts.garbage += 1
                 return
             self._drop_candidates()
@@ -464,7 +464,7 @@ class RtpReceiver:
 
 def _ahead(packet: RtpPacket, other: RtpPacket) -> int:
     """Return the sequence number of `packet` less that of `other`, from -2^15 to 2^15 - 1."""
-    return signed(packet.sequence_number - other.sequence_number, 16)
+    return serial_difference(packet.sequence_number - other.sequence_number, 16)
 
 
 def _fits(held: _Waiting, packet: RtpPacket, now_ns: int) -> bool:

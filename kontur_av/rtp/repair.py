@@ -59,7 +59,7 @@ class PacketHistory:
         again: list[bytes] = []
         # A short burst is always allowed: a stream that has just begun has sent nothing yet.
         most_octets = max(int(self._sent_octets * self._share), 16_000)
-        # A stranger may ask for anything, in any number.
+        # An unknown sender may ask for anything, in any number.
         for sequence in lost[:MOST_MISSING]:
             self.asked += 1
             kept = self._kept.get(sequence)
@@ -98,7 +98,7 @@ class LossAsker:
         #: By 16-bit sequence number: missing since, and when to ask.
         self._missing: OrderedDict[int, tuple[int, int]] = OrderedDict()
         #: NACKs sent; packets that came after they were asked for; packets given up.
-        self.sent = self.mended = self.given_up = 0
+        self.sent = self.repaired = self.given_up = 0
 
     def handle_packet(self, media_ssrc: int, sequence: int, now_ns: int) -> None:
         """A packet of the stream has come, also one that was asked for."""
@@ -107,13 +107,13 @@ class LossAsker:
             self._missing.clear()
             return
         if self._missing.pop(sequence, None) is not None:
-            self.mended += 1
+            self.repaired += 1
             return
         ahead = (sequence - self._highest) & 0xFFFF
         if ahead == 0 or ahead >= 0x8000:
             return
         if ahead > MOST_MISSING:
-            # Too many: a key picture mends that.
+            # Too many: a key picture fixes that.
             self._missing.clear()
         else:
             for step in range(1, ahead):

@@ -10,7 +10,7 @@ from math import e
 from random import Random
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpSrPacket
 
 #: The least mean time between two reports under the profile RTP/AVP (RFC 3550 section 6.2).
@@ -131,7 +131,7 @@ class ReceptionLog:
             self._highest += ahead
         transit = now_ns * self._clock_rate_hz // NS_PER_S - timestamp
         if self._transit is not None:
-            difference = abs(signed(transit - self._transit))
+            difference = abs(serial_difference(transit - self._transit))
             self._jitter_16 += difference - ((self._jitter_16 + 8) >> 4)
         self._transit = transit
 
@@ -163,7 +163,7 @@ class ReceptionLog:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ReceptionFigures:
+class ReceptionMetrics:
     """What the receiver of a stream last said.
 
     lost: packets in all. lost_share: of those since the report before, from 0 to 1.
@@ -178,13 +178,13 @@ class ReceptionFigures:
 class ReceptionReader:
     """The sender's end. Call `handle_report_sent`, and `handle_block` for each block of an answer.
 
-    figures: the newest; None before the first block.
+    metrics: the newest; None before the first block.
     """
 
     def __init__(self) -> None:
         self._sent_ns: OrderedDict[int, int] = OrderedDict()
         self._round_trip_ns: int | None = None
-        self.figures: ReceptionFigures | None = None
+        self.metrics: ReceptionMetrics | None = None
 
     def handle_report_sent(self, ntp_timestamp: int, now_ns: int) -> None:
         """A sender report with this NTP time leaves."""
@@ -199,7 +199,7 @@ class ReceptionReader:
             passed_ns = now_ns - sent_ns - block.dlsr * NS_PER_S // _NTP_SHORT_HZ
             # The answer's own clock is coarse: 15 µs.
             self._round_trip_ns = max(passed_ns, 0)
-        self.figures = ReceptionFigures(
+        self.metrics = ReceptionMetrics(
             lost=block.packets_lost,
             lost_share=block.fraction_lost / 256,
             round_trip_ns=self._round_trip_ns,

@@ -120,7 +120,7 @@ class RtpSender:
             self._packet(payload, timestamp, marker=index == last)
             for index, payload in enumerate(payloads)
         ]
-        self._tell_capture(packets)
+        self._publish_capture(packets)
         return Packetized(packets, timestamp, [len(payload) for payload in payloads])
 
     def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> Packetized:
@@ -146,7 +146,7 @@ class RtpSender:
         timestamp = (self._offset + self._blocks * self._samples_per_packet) & 0xFFFF_FFFF
         self._last_stamp, self._last_timestamp = stamp, timestamp
         packets = [self._packet(opus, timestamp, marker=gap)]
-        self._tell_capture(packets)
+        self._publish_capture(packets)
         return Packetized(packets, timestamp, [len(opus)])
 
     def timestamp(self, capture_ns: int) -> int:
@@ -160,7 +160,7 @@ class RtpSender:
         self.payload_octets_sent += len(packet) - header_octets(packet)
         self._timer.begin(now_ns)
 
-    def _tell_capture(self, packets: list[bytes]) -> None:
+    def _publish_capture(self, packets: list[bytes]) -> None:
         """Tell the capture in the first packet, if that is due."""
         if self._capture_time_id is None or self._last_stamp is None:
             return

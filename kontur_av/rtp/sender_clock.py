@@ -2,7 +2,7 @@
 
 from kontur_av.clock import NS_PER_S, unix_ns_from_ntp
 from kontur_av.errors import ProtocolError
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from kontur_av.rtp.header_extensions import elements_of, read_capture_time
 from kontur_av.rtp.wire import RtcpSrPacket, RtpPacket
 
@@ -42,7 +42,7 @@ class SenderClock:
 
     def ticks_ns(self, timestamp: int, since: int) -> int:
         """Return the time between two timestamps, in ns."""
-        return signed(timestamp - since) * NS_PER_S // self._rate_hz
+        return serial_difference(timestamp - since) * NS_PER_S // self._rate_hz
 
     def handle_source(self, ssrc: int) -> tuple[RtcpSrPacket, int] | None:
         """A source is accepted. Return its report, if one came already, and when it came."""
@@ -89,7 +89,7 @@ class SenderClock:
             return
         ntp = None if value is None else read_capture_time(value)
         if ntp is not None:
-            # A stranger's packets must not grow this.
+            # An unknown sender's packets must not grow this.
             self._captured = {one: at for one, at in self._captured.items() if one == self._ssrc}
             self._captured[packet.ssrc] = packet.timestamp, ntp
 
@@ -130,7 +130,7 @@ class SenderClock:
                 return None
             info = kept[0].sender_info
             anchor = info.rtp_timestamp * self.scale, info.ntp_timestamp
-        ticks = signed(timestamp - anchor[0])
+        ticks = serial_difference(timestamp - anchor[0])
         anchor_ns = unix_ns_from_ntp(anchor[1]) - self._wall_offset_ns
         told_ns = anchor_ns + round(ticks * NS_PER_S / self._rate_hz)
         return told_ns if self._bend is None else told_ns + self._bent_ns(timestamp, *self._bend)

@@ -24,7 +24,7 @@ from aiortc.rtp import pack_remb_fci as pack_remb_fci
 from aiortc.rtp import unpack_remb_fci as unpack_remb_fci
 
 from kontur_av.errors import ProtocolError
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from kontur_av.rtp.header_extensions import header_octets
 
 SDES_CNAME, SDES_TOOL = 1, 6  # RFC 3550 sections 6.5.1 and 6.5.6
@@ -143,6 +143,6 @@ class TimestampUnwrapper:
         """
         if self._origin is None:
             self._origin = timestamp
-        ticks = self._latest + signed(timestamp - self._origin - self._latest)
+        ticks = self._latest + serial_difference(timestamp - self._origin - self._latest)
         self._latest = max(self._latest, ticks)
         return ticks

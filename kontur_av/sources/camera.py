@@ -20,7 +20,7 @@ _OPEN_TIMEOUT_S = 5.0
 
 
 def check_camera(device: str) -> None:
-    """Raise ConfigError, with the mend, if `device` is no usable camera.
+    """Raise ConfigError, with the fix, if `device` is no usable camera.
 
     The check opens the device briefly, in the same way as `CameraVideo`.
     """

@@ -37,7 +37,7 @@ _OTHER: dict[str, Literal["video", "audio"]] = {"video": "audio", "audio": "vide
 
 
 def check_file(path: str, kind: Literal["video", "audio"]) -> None:
-    """Raise ConfigError, with the mend, if the file cannot be played."""
+    """Raise ConfigError, with the fix, if the file cannot be played."""
     wanted, stream = ("pictures", "a video") if kind == "video" else ("sound", "an audio")
     try:
         # Opened as a file, a FIFO would wait for a writer for ever.

@@ -16,24 +16,24 @@ class Pace:
 
     rate_hz: instants a second.
     phase: offset as a share of the period, 0 <= phase < 1.
-    patience: how many periods late a reader may be before instants are skipped.
+    timeout: how many periods late a reader may be before instants are skipped.
     skipped: instants skipped so far.
     """
 
     def __init__(
-        self, rate_hz: Fraction | int, now_ns: int, *, phase: float = 0.0, patience: int = 1
+        self, rate_hz: Fraction | int, now_ns: int, *, phase: float = 0.0, timeout: int = 1
     ) -> None:
         # A fraction as two integers: exact, and no Fraction object for each picture.
         self._period_ns, self._parts = (Fraction(NS_PER_S) / Fraction(rate_hz)).as_integer_ratio()
         self._phase_ns = int(self._period_ns * Fraction(phase) / self._parts)
-        self._patience_ns = self._period_ns * patience // self._parts
+        self._timeout_ns = self._period_ns * timeout // self._parts
         self._index = self._last_before(now_ns) + 1
         self.skipped = 0
 
     def due_ns(self, now_ns: int) -> int:
         """Return the next instant, or the latest past one if the reader is too late."""
         due_ns = self._instant(self._index)
-        if now_ns - due_ns > self._patience_ns:
+        if now_ns - due_ns > self._timeout_ns:
             latest = self._last_before(now_ns)
             self.skipped += latest - self._index
             self._index = latest

@@ -152,7 +152,7 @@ class LoopedAudio(StampingSource, ABC):
         super().__init__(name, clock, path)
         self._blocks = self._play()
         self._retry_ns = clock.now_ns()
-        self._pace = Pace(Fraction(NS_PER_S, BLOCK_NS), clock.now_ns(), patience=2)
+        self._pace = Pace(Fraction(NS_PER_S, BLOCK_NS), clock.now_ns(), timeout=2)
 
     @abstractmethod
     def _pass(self) -> Iterator[Pcm]:

@@ -30,14 +30,14 @@ _COMPLAINT_OCTETS = 4096
 
 
 def check_microphone(device: str) -> None:
-    """Raise ConfigError, with the mend, if ALSA cannot open `device`.
+    """Raise ConfigError, with the fix, if ALSA cannot open `device`.
 
     The check opens the device briefly and records one sample.
     """
     program = _arecord()
     # With ALSA's conversion of rate, channels and format.
     converted = f"plug{device}" if device.startswith("hw:") else "plughw:0"
-    mend = f"choose from `kontur-av devices`, or try alsa:{converted}"
+    fix = f"choose from `kontur-av devices`, or try alsa:{converted}"
     try:
         done = subprocess.run(
             [*_command(program, device), "-s", "1"],
@@ -54,13 +54,11 @@ def check_microphone(device: str) -> None:
             "or choose from `kontur-av devices`"
         ) from None
     if done.returncode:
-        raise ConfigError(
-            f"microphone {device!r} cannot be opened ({_reason(done.stderr)}): {mend}"
-        )
+        raise ConfigError(f"microphone {device!r} cannot be opened ({_reason(done.stderr)}): {fix}")
     # arecord then records at the other rate all the same.
     if (other := _OTHER_RATE.search(done.stderr)) is not None:
         raise ConfigError(
-            f"microphone {device!r} records at {int(other[1])} Hz, not at {AUDIO_CLOCK_HZ}: {mend}"
+            f"microphone {device!r} records at {int(other[1])} Hz, not at {AUDIO_CLOCK_HZ}: {fix}"
         )
 
 

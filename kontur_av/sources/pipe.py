@@ -28,7 +28,7 @@ _LOOK_NS = 100 * NS_PER_MS
 
 
 def check_fifo(path: str) -> None:
-    """Raise ConfigError, with the mend, if `path` is no readable FIFO."""
+    """Raise ConfigError, with the fix, if `path` is no readable FIFO."""
     try:
         mode = Path(path).stat().st_mode
     except FileNotFoundError:

@@ -84,7 +84,7 @@ def parse_place(place: str) -> tuple[str, str]:
 
 
 def check_recording(place: str, kind: Literal["video", "audio"]) -> None:
-    """Raise ConfigError, with the mend, if this FILE#CHANNEL cannot be played."""
+    """Raise ConfigError, with the fix, if this FILE#CHANNEL cannot be played."""
     path, channel = parse_place(place)
     schema_name, formats, wanted = _SCHEMAS[kind]
     try:

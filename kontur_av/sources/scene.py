@@ -70,8 +70,8 @@ class SceneAudio(StampingSource):
     def __init__(self, sound: Sound, *, name: str, clock: Clock) -> None:
         super().__init__(name, clock)
         self._sound = sound
-        # A patience of two blocks, because a late block of sound is still useful.
-        self._pace = Pace(50, clock.now_ns(), patience=2)
+        # A timeout of two blocks, because a late block of sound is still useful.
+        self._pace = Pace(50, clock.now_ns(), timeout=2)
 
     def read(self, timeout_ns: int) -> AudioFrame | None:
         now_ns = self._clock.now_ns()

@@ -17,7 +17,7 @@ from typing import Literal
 from kontur_av.clock import Clock
 from kontur_av.errors import ConfigError
 from kontur_av.media import AudioFrame, CaptureStamp, check_size
-from kontur_av.parts import PartDoor, find_part, make_part, names_part
+from kontur_av.parts import PluginRegistry, find_part, make_part, names_part
 from kontur_av.sources.source import (
     FILLED_BY_OTHERS,
     PAGE,
@@ -37,7 +37,7 @@ _FORMS = (
     "a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, scene:NAME, "
     "module:Class, page or topic"
 )
-_VIDEO = PartDoor(
+_VIDEO = PluginRegistry(
     "source",
     _FORMS,
     _GROUP,
@@ -50,7 +50,7 @@ _VIDEO = PartDoor(
         _FILE: "kontur_av.sources.file:FileVideo",
     },
 )
-_AUDIO = PartDoor(
+_AUDIO = PluginRegistry(
     "source",
     _FORMS,
     _GROUP,
@@ -109,12 +109,12 @@ def check_spec(spec: str, kind: Literal["video", "audio"], scenes: Iterable[str]
     """Refuse a SPEC that cannot work, before anything has started.
 
     scenes: the names that `scene:NAME` may use for this kind of input.
-    Raises ConfigError with the mend. Causes: an unreadable file, one without pictures (or sound), a
+    Raises ConfigError with the fix. Causes: an unreadable file, one without pictures (or sound), a
     path that is not a FIFO, a device that cannot be opened, or an unknown scene.
     """
     if _scene(spec, scenes) is None:
-        door = _VIDEO if kind == "video" else _AUDIO
-        made, text = find_part(_with_kind(spec, door), door)
+        registry = _VIDEO if kind == "video" else _AUDIO
+        made, text = find_part(_with_kind(spec, registry), registry)
         if (check := getattr(made, "check_source", None)) is not None:
             check(*text)
 
@@ -131,27 +131,27 @@ def _scene(spec: str, scenes: Iterable[str]) -> str | None:
     return name
 
 
-def _with_kind(spec: str, door: PartDoor) -> str:
+def _with_kind(spec: str, registry: PluginRegistry) -> str:
     """Return `spec`, of a path with the name of its kind. ConfigError for another kind of input."""
     kind, colon, _ = spec.partition(":")
     if not spec or "\0" in spec:
-        raise ConfigError(f"source {spec!r} names nothing: give {door.forms}")
+        raise ConfigError(f"source {spec!r} names nothing: give {registry.forms}")
     if kind in FILLED_BY_OTHERS:
         if colon:
             raise ConfigError(f"source {spec!r}: write {kind}")
         return spec
     if colon and kind in {*_VIDEO.built_in, *_AUDIO.built_in} - {_FILE}:
         _check_text(spec)
-        if kind not in door.built_in:
+        if kind not in registry.built_in:
             raise ConfigError(
                 f"{spec!r} is sound, this input wants pictures: give a file, pipe: or v4l2:"
-                if door is _VIDEO
+                if registry is _VIDEO
                 else f"{spec!r} is pictures, this input wants sound: give a file or alsa:DEVICE"
             )
         return spec
     # Unlike Path.exists, it raises nothing for a name that is too long.
     exists = os.path.exists(spec)  # noqa: PTH110
-    if names_part(spec, door) and not exists:
+    if names_part(spec, registry) and not exists:
         return spec
     return f"{_FILE}:{spec if exists else _sample(spec)}"
 

@@ -34,7 +34,7 @@ class CodedUnit:
     parameter_sets: those with which it is decoded, as Annex B, for a reader that has missed
         them: they come with a key picture or a refresh wave only. b"" if they are not known.
 
-    The `sequence` of the stamp counts the units of one life of the writer. A gap means that this
+    The `sequence` of the stamp counts the units of one start of the writer. A gap means that this
     reader missed some, or that none were published while nobody read.
     """
 

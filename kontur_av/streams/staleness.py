@@ -22,7 +22,7 @@ class State(Enum):
 
 
 @dataclass(slots=True)
-class Spell:
+class Interval:
     """A condition that comes and goes. total_ns: its whole duration. episodes: how often it came.
 
     lasting: it applies at present.
@@ -68,7 +68,7 @@ class Staleness:
         self._shown_ns: int | None = None
         self._damage = False
         self._counted_ns = 0
-        self.stale, self.frozen, self.damaged = Spell(), Spell(), Spell()
+        self.stale, self.frozen, self.damaged = Interval(), Interval(), Interval()
 
     def handle_shown(self, capture_ns: int, now_ns: int, *, damaged: bool = False) -> None:
         """A picture or block that was captured at `capture_ns` is shown from `now_ns` on."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.healing import Healing
-from kontur_av.figures import Flat, Newest
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality, VideoCodec
+from kontur_av.metrics import Flat, Newest
 from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
 from kontur_av.rtp.nal_formats import NAL_FORMATS
@@ -105,7 +105,7 @@ class VideoReceiver(ReportingReceiver):
         self._depacketizer = NalDepacketizer(NAL_FORMATS[codec], parameter_sets, marked=marked)
         self._healing = Healing()
         #: Timestamps of units in the decoder that will show damage, and whether to withhold them.
-        self._hurt: OrderedDict[int, bool] = OrderedDict()
+        self._corrupted: OrderedDict[int, bool] = OrderedDict()
         #: When the newest unit came; until when a whole picture is awaited after a pause.
         self._came_ns: int | None = None
         self._awaited_ns: int | None = None
@@ -144,8 +144,8 @@ class VideoReceiver(ReportingReceiver):
         """Return the next access unit to decode, or None."""
         self._take_packets()
         while (unit := self._depacketizer.next_event()) is not None:
-            hurt = self._healing.handle_unit(unit)
-            self._begun = self._begun or (unit.keyframe and not hurt)
+            corrupted = self._healing.handle_unit(unit)
+            self._begun = self._begun or (unit.keyframe and not corrupted)
             self._losses.handle_picture(
                 damaged=self._healing.damaged or not self._begun,
                 media_ssrc=self._receiver.ssrc or 0,
@@ -153,15 +153,15 @@ class VideoReceiver(ReportingReceiver):
             )
             now_ns = unit.received_ns
             before_ns, self._came_ns = self._came_ns, now_ns
-            if not hurt:
+            if not corrupted:
                 self._awaited_ns = None
             elif self._awaited_ns is None and now_ns - (before_ns or now_ns) > _PAUSE_NS:
                 # Once for each damage, so that slow cameras show theirs.
                 self._awaited_ns = now_ns + _AWAITED_NS
-            if hurt:
-                self._hurt[unit.timestamp] = now_ns < (self._awaited_ns or 0)
-                if len(self._hurt) > _REMEMBERED:
-                    self._hurt.popitem(last=False)
+            if corrupted:
+                self._corrupted[unit.timestamp] = now_ns < (self._awaited_ns or 0)
+                if len(self._corrupted) > _REMEMBERED:
+                    self._corrupted.popitem(last=False)
             if not self._healing.lacks_references(unit):
                 break
             self._without_references += 1
@@ -202,13 +202,13 @@ class VideoReceiver(ReportingReceiver):
         None if the picture is too large or withheld, or if `capture_ns` is None.
         """
         self._begun = True
-        withheld = self._hurt.pop(timestamp, None)
+        withheld = self._corrupted.pop(timestamp, None)
         self.shows_damage = withheld is not None or corrupt
         if corrupt and withheld is None:
             # So the next unit asks for a key picture. Known damage may have healed since.
             self._healing.handle_damage()
         if self._most_pixels is not None and width * height > self._most_pixels:
-            # A stranger's picture must not make shared memory grow.
+            # An unknown sender's picture must not make shared memory grow.
             self._oversized += 1
             return None
         if withheld:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.opus import OpusDecoder
 from kontur_av.errors import ProtocolError
-from kontur_av.figures import Flat, Newest
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, CaptureStamp, Pcm, Quality
+from kontur_av.metrics import Flat, Newest
 from kontur_av.rtp.feedback import ReceptionReporter
 from kontur_av.rtp.payload_opus import SlowClock
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer

@@ -428,7 +428,7 @@ def _octets_type(octets: int) -> Any:
 
 
 def shared_memory_full(error: OSError) -> str:
-    """One line about shared memory without room, with the mend."""
+    """One line about shared memory without room, with the fix."""
     free = shutil.disk_usage(SHARED_MEMORY).free
     return (
         f"shared memory is full ({error.strerror}, {free / 1e6:.0f} MB free in {SHARED_MEMORY}): "

@@ -26,7 +26,7 @@ from pipelines.report.model import (
 )
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, titled_table
-from pipelines.report.sync_figures import LIMITS
+from pipelines.report.sync_metrics import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import (

@@ -26,7 +26,7 @@ from telepresence.link.sender import LinkSender
 #: The end of `cyclictest`'s histogram, in µs; it counts later wake-ups apart.
 _LONGEST_US = 20_000
 #: How much longer than its run `cyclictest` may take to end.
-_PATIENCE_S = 60
+_TIMEOUT_S = 60
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,14 @@ def live_punctuality(
     try:
         text = live_report(words, seconds=seconds)
     finally:
-        figures = [] if peer is None else _finish_cyclictest(peer)
+        metrics = [] if peer is None else _finish_cyclictest(peer)
     links = from_json(text, SessionReport).link if media else from_json(text, LinkReport).link
     ends = {"ground": links["uplink"], "space": links["downlink"]}
     gateways = [
         LoopPunctuality(f"{end} gateway", lateness_us(link), link.loop.slips, link.sender.frames)
         for end, link in ends.items()
     ]
-    return [*figures, *gateways]
+    return [*metrics, *gateways]
 
 
 def lateness_us(link: DirectionReport) -> dict[str, float]:
@@ -87,7 +87,7 @@ def _start_cyclictest(seconds: float) -> "subprocess.Popen[str] | None":
 
 
 def _finish_cyclictest(process: "subprocess.Popen[str]") -> list[LoopPunctuality]:
-    output, _ = process.communicate(timeout=_PATIENCE_S)
+    output, _ = process.communicate(timeout=_TIMEOUT_S)
     return [] if process.returncode else [parse_cyclictest(output)]
 
 
@@ -100,19 +100,19 @@ def parse_cyclictest(output: str) -> LoopPunctuality:
     if not total or largest is None:
         raise ValueError("cyclictest printed no histogram")
     beyond = int(overflows[1]) if overflows else 0
-    figures: dict[str, float] = {}
+    metrics: dict[str, float] = {}
     for name, share in (("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999)):
         wanted = share * (total + beyond)
         seen = 0
         for us, count in bins:
             seen += count
             if seen >= wanted:
-                figures[name] = float(us)
+                metrics[name] = float(us)
                 break
         else:
-            figures[name] = float(largest[1])
-    figures["max"] = float(largest[1])
-    return LoopPunctuality("cyclictest", figures, None, total + beyond)
+            metrics[name] = float(largest[1])
+    metrics["max"] = float(largest[1])
+    return LoopPunctuality("cyclictest", metrics, None, total + beyond)
 
 
 COMMANDS, VOICE, VIDEO, FILE = "commands", "voice", "video", "file"
@@ -230,19 +230,19 @@ def run(args: argparse.Namespace) -> int:
         for busy in (False, True)
         for cost in slot_costs(profile, slots=round(1000 * args.seconds), busy=busy)
     ]
-    figures: dict[str, Json] = {"cost": as_json(costs)}
+    metrics: dict[str, Json] = {"cost": as_json(costs)}
     live: dict[str, Sequence[LoopPunctuality]] = {}
     for media in () if args.no_live else (False, True):
         name = "with" if media else "without"
         live[name] = live_punctuality(
             args.seconds, args.setup, media=media, base_port=args.base_port
         )
-        figures[f"live_{name}_media"] = as_json(live[name])
+        metrics[f"live_{name}_media"] = as_json(live[name])
     found = _headlines(costs, live)
     console.print(*headline_tables(found))
     if live and not any(task.name == "cyclictest" for tasks in live.values() for task in tasks):
         console.print("cyclictest is not installed or not permitted (Debian package rt-tests)")
-    write_result(args.report, figures, found)
+    write_result(args.report, metrics, found)
     return 0
 
 

@@ -12,7 +12,7 @@ from pipelines.report.model import SessionReport, from_json
 from pipelines.session.command_process import end_all, ended_alike
 
 #: How much longer than the session the command may take to start and to end.
-_PATIENCE_S = 60
+_TIMEOUT_S = 60
 #: The exit code of every command of the project for a mistake of the user.
 _USERS_FAULT = 2
 
@@ -45,7 +45,7 @@ def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = Non
                 start_new_session=True,
             )
             try:
-                returncode = process.wait(seconds + _PATIENCE_S)
+                returncode = process.wait(seconds + _TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 raise RuntimeError(f"the live session has not ended after {seconds:g} s") from None
             finally:

@@ -27,8 +27,8 @@ from pipelines.report.charts import check_plot, distributions, save
 from pipelines.report.model import ContentSkew, SyncReport
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, titled_table
-from pipelines.report.sync_figures import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
 from pipelines.report.sync_matching import Matched, match_around
+from pipelines.report.sync_metrics import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import radio_change
 from pipelines.session.setup.setup_file import load_setup

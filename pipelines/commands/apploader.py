@@ -6,8 +6,8 @@ from kontur_av.errors import ConfigError, refused
 from pipelines.session.command_process import say, stopped_by_signals
 from pipelines.session.datagrams import LOOPBACK, parse_address
 from pipelines.session.option_rows import add_actions
-from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.loader_keeper import LoaderKeeper, check_ftp_url, list_lines, serve_ftp
+from pipelines.upkeep.requests import DiskStore
 from telepresence.upkeep.app_loader import BootDevice, Copy
 from telepresence.upkeep.file_store import read_folder, replace_file
 from telepresence.upkeep.manifest import SFV, sfv_text

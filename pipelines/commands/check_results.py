@@ -46,9 +46,9 @@ def _table(results: Sequence[CheckResult]) -> Table:
     for result in results:
         if result.skipped:
             table.add_row(result.name, "", "", "", "", "skipped")
-        elif not result.figures:
+        elif not result.metrics:
             table.add_row(result.name, "", "", "", "", _verdict(result.passed))
-        for index, figure in enumerate(result.figures):
+        for index, figure in enumerate(result.metrics):
             unit = f" {figure.unit}" if figure.unit else ""
             table.add_row(
                 result.name if index == 0 else "",
@@ -99,7 +99,7 @@ def _check_report(result: CheckResult) -> CheckReport:
         passed=None if result.skipped else result.passed,
         trouble=result.trouble,
         skipped=result.skipped,
-        figures=[
+        metrics=[
             FigureReport(
                 name=figure.name,
                 value=_rounded(figure.value),
@@ -108,7 +108,7 @@ def _check_report(result: CheckResult) -> CheckReport:
                 most=_rounded(figure.most),
                 passed=figure.passed,
             )
-            for figure in result.figures
+            for figure in result.metrics
         ],
     )
 

@@ -1,4 +1,4 @@
-"""`kontur-av doctor`: check that this machine has what a session needs, and name the mend."""
+"""`kontur-av doctor`: check that this machine has what a session needs, and name the fix."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ def doctor(print: Callable[[str], None] = print, checks: Sequence[Check] | None 
     for name, check in CHECKS if checks is None else checks:
         verdict = checked(check)
         missing += verdict.state == "missing"
-        mend = f": {verdict.mend}" if verdict.mend else ""
-        print(f"{verdict.state:<8} {name:<15} {verdict.found}{mend}")
+        fix = f": {verdict.fix}" if verdict.fix else ""
+        print(f"{verdict.state:<8} {name:<15} {verdict.found}{fix}")
     print("a session can run" if not missing else f"a session cannot run: {missing} missing")
     return 1 if missing else 0

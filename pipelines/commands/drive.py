@@ -18,7 +18,7 @@ from pipelines.commands.rtc_options import (
     ice_servers_of,
     token_of,
 )
-from pipelines.hand.haptic_loop import new_life
+from pipelines.hand.haptic_loop import new_boot_id
 from pipelines.hand.partner_arm import run_side, told
 from pipelines.partner.whip import Far
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path
@@ -63,7 +63,7 @@ def drive(args: argparse.Namespace) -> int:
     device = open_alone(spec, hand=Hand())
     try:
         handle = OperatedHandle(device)
-        link = joystick_link(life=new_life())
+        link = joystick_link(boot_id=new_boot_id())
         side = JoystickSide(link=link, handle=handle)
         with reached(args, "joystick") as way:
             run_side(side, lambda now_ns: handle.handle_feedback(link.latest(now_ns)), way, seconds)

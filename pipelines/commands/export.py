@@ -93,11 +93,11 @@ def _with_progress(recording: JoinedRecording) -> Iterator[JoinedMessage]:
 def _losses(paths: Sequence[Path], recording: JoinedRecording) -> Iterator[str]:
     """A line for each part of which something cannot be read."""
     for path, part in zip(paths, recording.parts, strict=True):
-        figures = part.inventory.scan.figures
-        if figures.holes:
+        metrics = part.inventory.scan.metrics
+        if metrics.holes:
             yield (
-                f"{path} is torn or damaged: {figures.unread_octets} of {figures.octets} octets "
+                f"{path} is torn or damaged: {metrics.unread_octets} of {metrics.octets} octets "
                 "cannot be read; the rest is exported"
             )
-        elif not figures.sound:
+        elif not metrics.sound:
             yield f"{path} is torn, but every message in it is exported"

@@ -14,14 +14,14 @@ from pipelines.session.terminal_lines import (
     STATUS,
     FileAnswer,
     FileRequest,
-    desk_name,
     listing,
     progress,
+    socket_name,
 )
-from pipelines.session.terminals import ask_desk, running_sessions
+from pipelines.session.terminals import running_sessions, send_request
 from telepresence.files.entity import DONE, FAILED
 
-_LOOK_S, _TELL_S = 0.2, 2.0
+_LOOK_S, _PUBLISH_S = 0.2, 2.0
 #: A transfer under way is given up this long after the last answer: a full machine may be slow.
 _SILENT_S = 30.0
 _MISSING = "no session here carries files: start it with kontur-av stream --files DIR"
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     )
     segments = tuple(Segment) if args.origin is None else (Segment(args.origin),)
     for segment in sorted(segments, key=lambda one: one is not Segment.GROUND):
-        if running := running_sessions(desk_name(segment)):
+        if running := running_sessions(socket_name(segment)):
             return _follow(request, segment, acting_on(args.session, running))
     raise ConfigError(_MISSING)
 
@@ -70,10 +70,10 @@ def run(args: argparse.Namespace) -> int:
 def _follow(request: FileRequest, segment: Segment, session: str) -> int:
     """Ask, then print how far it is until it has ended; Ctrl-C cancels it."""
     began_s = told_s = heard_s = time.monotonic()
-    desk, state, text, missing = desk_name(segment), "", "", _MISSING
+    service, state, text, missing = socket_name(segment), "", "", _MISSING
     try:
         while True:
-            answer = ask_desk(desk, request, FileAnswer, session, missing=missing)
+            answer = send_request(service, request, FileAnswer, session, missing=missing)
             now_s = time.monotonic()
             if answer is None:
                 if request.file == STATE and now_s - heard_s < _SILENT_S:
@@ -97,7 +97,7 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
             if answer.text != text:
                 text = answer.text
                 print(f"kontur-av: {text or 'the other end answers'}", file=sys.stderr, flush=True)
-            if answer.state != state or now_s - told_s >= _TELL_S:
+            if answer.state != state or now_s - told_s >= _PUBLISH_S:
                 state, told_s = answer.state, now_s
                 print(f"{state}, {progress(answer)}", file=sys.stderr, flush=True)
             request = FileRequest(file=STATE, number=answer.number)
@@ -106,6 +106,6 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
     except KeyboardInterrupt:
         if request.file == STATE:
             cancel = FileRequest(file=CANCEL, number=request.number)
-            ask_desk(desk, cancel, FileAnswer, session, missing=missing)
+            send_request(service, cancel, FileAnswer, session, missing=missing)
             print("kontur-av: cancelled", file=sys.stderr)
         raise

@@ -90,7 +90,9 @@ def _list() -> int:
 def _check(spec: str, axes: Sequence[AxisName] | None) -> int:
     say_unprotected(spec)
     device, console = open_alone(spec, axes=axes), WordsConsole()
-    console.print(f"{device.facts.name}; it moves a few centimetres: hands off", highlight=False)
+    console.print(
+        f"{device.capabilities.name}; it moves a few centimetres: hands off", highlight=False
+    )
     # Whatever ends it, the joystick is closed.
     with ended_alike(), timed(device) as joystick:
         return print_results(console, list(JoystickCheck(joystick, MonotonicClock()).run()))
@@ -104,9 +106,11 @@ def _test(spec: str, check: str, report: Path | None) -> int:
     try:
         if is_simulated(spec):
             seconds = run_virtually(bench)
-            console.print(f"{device.facts.name}, {seconds:.0f} s of virtual time", highlight=False)
+            console.print(
+                f"{device.capabilities.name}, {seconds:.0f} s of virtual time", highlight=False
+            )
         else:
-            console.print(f"{device.facts.name}; Ctrl-C ends", highlight=False)
+            console.print(f"{device.capabilities.name}; Ctrl-C ends", highlight=False)
             with stopped_by_signals() as stopped:
                 seconds = run_live(bench, MonotonicClock(), stopped, console.print)
     finally:

@@ -20,7 +20,7 @@ from pipelines.session.kept_files import KeptOrders, NotesReader, SessionNow, wr
 from pipelines.session.launcher import Launcher
 from pipelines.session.option_rows import add_options
 from pipelines.session.topology import Segment
-from pipelines.upkeep.desk import status_teller
+from pipelines.upkeep.requests import status_teller
 from telepresence.upkeep.version_stack import status_of
 
 
@@ -71,12 +71,12 @@ def with_status(
     With a `log` it tells `kontur-av maintain`, too, and takes its notes into the log. Without a log
     the user's programs are attached, and their haptic samples tell whether an experiment runs.
     """
-    tell = status_teller()
+    publish = status_teller()
     attached = ExperimentWatch(collector, attached=True)
     notes: NotesReader | None = None
     forgotten = ""
 
-    def show_and_tell(launcher: Launcher) -> None:
+    def show_and_publish(launcher: Launcher) -> None:
         nonlocal notes, forgotten
         now_ns = launcher.clock.now_ns()
         if log is None:
@@ -93,8 +93,8 @@ def with_status(
             with suppress(OSError):
                 write_now(launcher.session, SessionNow(experiment=experiment, events=events))
         link = collector.gateway(end).link
-        if tell is not None and link is not None:
-            tell(replace(status_of(link.supervision), busy=bool(experiment)))
+        if publish is not None and link is not None:
+            publish(replace(status_of(link.supervision), busy=bool(experiment)))
         show(launcher)
 
-    return show_and_tell
+    return show_and_publish

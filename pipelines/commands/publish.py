@@ -59,7 +59,7 @@ async def _publish(args: argparse.Namespace) -> RtcCommandReport:
         peer = keeper.peer
         sources.wanted = peer is not None and peer.connected
         if peer is not None and peer.media is not None:
-            sources.handle_wish(peer.media.wish_bps)
+            sources.handle_request(peer.media.requested_bps)
 
     with coded_sources(
         args,

@@ -11,7 +11,7 @@ from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_r
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options
 from pipelines.session.setup.table import Setup
-from pipelines.session.terminal_lines import RecordingWish
+from pipelines.session.terminal_lines import RecordingOptions
 from pipelines.session.terminals import begin_recording, hold_recording, recorded_sessions
 
 #: Shorter or smaller parts than these make no sense.
@@ -34,8 +34,8 @@ def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def wish_of(args: argparse.Namespace, *, held: bool) -> RecordingWish | None:
-    """Return what the options wish; None without a file; ConfigError for what cannot be.
+def options_of(args: argparse.Namespace, *, held: bool) -> RecordingOptions | None:
+    """Return what the options request; None without a file; ConfigError for what cannot be.
 
     held: the recording ends when its terminal has gone.
     """
@@ -47,7 +47,7 @@ def wish_of(args: argparse.Namespace, *, held: bool) -> RecordingWish | None:
         if args.overwrite or args.link_frames:
             raise ConfigError("--overwrite and --link-frames are about a recording: give --record")
         return None
-    return RecordingWish(
+    return RecordingOptions(
         file=str(args.record.absolute()),
         link_frames=args.link_frames,
         part_s=args.part_seconds,
@@ -57,14 +57,14 @@ def wish_of(args: argparse.Namespace, *, held: bool) -> RecordingWish | None:
     )
 
 
-def checked_wish(args: argparse.Namespace, setup: Setup) -> RecordingWish | None:
-    """As `wish_of`, for a session that is about to begin; ConfigError if it cannot be recorded."""
-    wish = wish_of(args, held=False)
-    if wish is not None:
-        path = Path(wish.file)
+def checked_options(args: argparse.Namespace, setup: Setup) -> RecordingOptions | None:
+    """As `options_of`, for a session that is about to begin; ConfigError if it cannot be recorded."""
+    options = options_of(args, held=False)
+    if options is not None:
+        path = Path(options.file)
         check_recordable(path, overwrite=args.overwrite, sources=setup.sources.values())
         check_disk(path, setup, args.seconds or LEAST_RECORDED_S)
-    return wish
+    return options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -79,18 +79,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 once the recording is whole; 1 if messages are missing in it."""
     check_options(args)
-    wish = wish_of(args, held=True)
-    assert wish is not None
-    check_recordable(Path(wish.file), overwrite=args.overwrite)
+    options = options_of(args, held=True)
+    assert options is not None
+    check_recordable(Path(options.file), overwrite=args.overwrite)
     session = acting_on(args.session, recorded_sessions())
     with stopped_by_signals() as ended:
-        link = begin_recording(session, wish, overwrite=args.overwrite)
-        print(f"session {session} is recorded to {wish.file}", flush=True)
-        answer = hold_recording(link, session, wish, ended, args.seconds)
+        link = begin_recording(session, options, overwrite=args.overwrite)
+        print(f"session {session} is recorded to {options.file}", flush=True)
+        answer = hold_recording(link, session, options, ended, args.seconds)
     if answer is None:
-        print(f"the session has ended; {wish.file} is closed")
+        print(f"the session has ended; {options.file} is closed")
         return 0
     lost = f", {answer.lost} lost: `kontur-av info` says of which channels" if answer.lost else ""
     parts = f" in {answer.files} parts" if answer.files > 1 else ""
-    print(f"{wish.file}{parts}: {answer.messages} messages{lost}")
+    print(f"{options.file}{parts}: {answer.messages} messages{lost}")
     return 1 if answer.lost else 0

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Mend a recording, or say that there is nothing to mend."""
+    """Fix a recording, or say that there is nothing to fix."""
     torn: Path = args.file
     octets = octets_of_file(torn)
     whole: Path = args.out or mended_name(torn)
@@ -28,15 +28,15 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--out {whole} is the torn recording itself: give another name")
     with refused(torn, ProtocolError):
         recovery = Recovery(octets)
-    figures = recovery.figures
-    if figures.sound:
-        line = f"{torn} is whole: there is nothing to mend"
+    metrics = recovery.metrics
+    if metrics.sound:
+        line = f"{torn} is whole: there is nothing to fix"
     else:
         check_new(whole, overwrite=args.overwrite)
         write_whole(whole, recovery.pieces(), overwrite=args.overwrite)
         line = (
-            f"{whole}: {figures.messages} messages; of {torn}, {figures.unread_octets} of "
-            f"{figures.octets} octets could not be read"
+            f"{whole}: {metrics.messages} messages; of {torn}, {metrics.unread_octets} of "
+            f"{metrics.octets} octets could not be read"
         )
     say(line)
     return 0

@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
             clock=MonotonicClock(),
             listener=collector,
             snapshots=snapshots,
-            seed=recorded.facts.seed if args.seed is None else args.seed,
+            seed=recorded.metadata.seed if args.seed is None else args.seed,
             show=view.show,
         )
         launcher.run(length_ns / NS_PER_S)
@@ -89,8 +89,8 @@ def _replay_report(
     recorded: RecordedSession, setup: Setup, args: argparse.Namespace
 ) -> ReplayReport:
     return ReplayReport(
-        session=recorded.facts.session,
-        recorded_seed=recorded.facts.seed,
+        session=recorded.metadata.session,
+        recorded_seed=recorded.metadata.seed,
         speed=args.speed,
         recoded=args.recode,
         streams={

@@ -10,7 +10,7 @@ from pipelines.commands.check_results import SETUP_ROW, axes_of, print_results
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.drive import add_way_arguments, reached
 from pipelines.hand.driver_checks import RobotCheck
-from pipelines.hand.haptic_loop import new_life
+from pipelines.hand.haptic_loop import new_boot_id
 from pipelines.hand.haptics import robot_side
 from pipelines.hand.partner_arm import keep_powered, run_side, told
 from pipelines.hand.safety_ends import within
@@ -61,8 +61,8 @@ def _serve(args: argparse.Namespace) -> int:
     """Serve the robot until it is stopped; 0 if the joystick has driven it, else 1."""
     say_unprotected(args.robot)
     with closing(open_robot(args.robot)) as robot:
-        envelope = SafetyEnvelope(within(SafetyLimits(), robot.facts))
-        side = robot_side(envelope, life=new_life(), robot=robot)
+        envelope = SafetyEnvelope(within(SafetyLimits(), robot.capabilities))
+        side = robot_side(envelope, boot_id=new_boot_id(), robot=robot)
         watch, recover = keep_powered(robot, envelope)
         began_m, most_m, most_n = (robot.x_m, robot.y_m), 0.0, 0.0
 

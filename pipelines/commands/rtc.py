@@ -68,10 +68,10 @@ def run(args: argparse.Namespace) -> int:
 def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
     """The listener, with a certificate where it needs one, and its addresses printed."""
     token = token_of(args) or secrets.token_urlsafe(24)
-    wish = bound_server(args.http, _SEAT, "--http", args.cert)
+    options = bound_server(args.http, _SEAT, "--http", args.cert)
     with (
         TemporaryDirectory(prefix="kontur-rtc-") as folder,
-        served(wish, Path(folder), _SEAT) as (found, made),
+        served(options, Path(folder), _SEAT) as (found, made),
     ):
         listener = replace(found[_SEAT], operator_token=token)
         base = base_url(listener, _SEAT)
@@ -102,7 +102,7 @@ async def _serve(args: argparse.Namespace) -> RtcCommandReport:
             async for _ in driven(args.seconds):
                 output.flush()
                 sources.wanted = any(peer.connected for peer in programme.peers)
-                sources.handle_wish(programme.wish_bps)
+                sources.handle_request(programme.requested_bps)
                 for peer in server.peers:
                     newest = connection_report(peer) or newest
             await server.close()

@@ -8,7 +8,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
-from pipelines.mission.mission import TaskWish
+from pipelines.mission.mission import TaskOptions
 from pipelines.session.datagrams import split_address
 from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.options import asked_setup
@@ -18,9 +18,9 @@ from pipelines.table import topology_of
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import (
     SIMULATED,
+    capabilities_of,
     check_joystick,
     check_robot,
-    facts_of,
     is_simulated,
 )
 from telepresence.tasks.task_files import load_plan, load_tasks
@@ -28,7 +28,7 @@ from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.telemetry_source import Component, load_components
 
 #: What a session has once its option is given.
-_WISHES = ("snapshots", "metrics", "foxglove", "packets", "frames", "ros2", "files")
+_OPTION_NAMES = ("snapshots", "metrics", "foxglove", "packets", "frames", "ros2", "files")
 
 
 def add_part_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,11 +57,11 @@ def chosen_setup(args: argparse.Namespace) -> Setup:
         )
     if args.rtc is not None and setup.rtc is None:
         setup = replace(setup, rtc=RtcLeg())
-    facts = None if args.end == Segment.SPACE.value else facts_of(args.robot)
-    if facts is None:
+    metadata = None if args.end == Segment.SPACE.value else capabilities_of(args.robot)
+    if metadata is None:
         return setup
     inputs = {row.name for row in topology_of(setup).inputs}
-    own = {name: spec for name, spec in facts.sources.items() if name in inputs}
+    own = {name: spec for name, spec in metadata.sources.items() if name in inputs}
     return replace(setup, sources={**own, **setup.sources})
 
 
@@ -94,7 +94,7 @@ def asked_topology(
         bypass=args.bypass,
         components=components,
         segments=plan.segments,
-        **{name: getattr(args, name) is not None for name in _WISHES},
+        **{name: getattr(args, name) is not None for name in _OPTION_NAMES},
     )
 
 
@@ -118,15 +118,15 @@ def add_task_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def task_wish(
+def task_options(
     args: argparse.Namespace, setup: Setup, segments: Sequence[Segment]
-) -> TaskWish | None:
-    """What the options wish; None for a session without tasks. ConfigError."""
+) -> TaskOptions | None:
+    """What the options request; None for a session without tasks. ConfigError."""
     if args.plan is None and args.tasks is None and not setup.tasks:
         refuse_options(args, " is for tasks: give --tasks or --plan, too", "leds", "runs")
         return None
-    facts = facts_of(args.robot) if Segment.GROUND in segments else None
-    two_hands = facts is not None and facts.two_hands and setup.partner_arm == "second"
+    metadata = capabilities_of(args.robot) if Segment.GROUND in segments else None
+    two_hands = metadata is not None and metadata.two_hands and setup.partner_arm == "second"
     files = args.tasks or []
     if args.plan is None:
         plan, catalogue = None, load_tasks(files)
@@ -151,7 +151,7 @@ def task_wish(
         raise ConfigError("--runs and --record want the same recorder: give one of them")
     leds = None if args.leds is None else split_address(args.leds, "--leds")
     runs = made_directory(args.runs, "--runs")
-    return TaskWish(
+    return TaskOptions(
         catalogue=catalogue,
         plan=plan,
         leds=leds,
@@ -161,14 +161,14 @@ def task_wish(
     )
 
 
-def task_arguments(wish: TaskWish | None) -> Mapping[str, Mapping[str, object]]:
-    """By process, what it needs to know of the wish."""
-    if wish is None:
+def task_arguments(options: TaskOptions | None) -> Mapping[str, Mapping[str, object]]:
+    """By process, what it needs to know of the request."""
+    if options is None:
         return {}
     arguments: dict[str, dict[str, object]] = {
-        TASKS: {"wish": wish},
-        PAGES[Segment.SPACE]: {"tasks": wish.catalogue},
+        TASKS: {"wish": options},
+        PAGES[Segment.SPACE]: {"tasks": options.catalogue},
     }
-    if wish.simulated and wish.plan is not None:
-        arguments[JOYSTICK] = {"skill": wish.plan.skill}
+    if options.simulated and options.plan is not None:
+        arguments[JOYSTICK] = {"skill": options.plan.skill}
     return arguments

@@ -13,16 +13,16 @@ from importlib.util import find_spec
 from kontur_av.errors import ConfigError, refused
 from kontur_av.topics.session_files import session_root
 from pipelines.commands.rtc_options import add_ice_arguments, ice_servers_of
-from pipelines.files.desk import RATES_BPS
+from pipelines.files.file_requests import RATES_BPS
 from pipelines.files.process_files import FilesPlan
-from pipelines.files.service_sockets import ALLOW, LISTEN, bound_services, services_wish
+from pipelines.files.service_sockets import ALLOW, LISTEN, bound_services, services_options
 from pipelines.packets.process_packets import add_packets_arguments, checked_packets, parse_frames
 from pipelines.partner.ice_servers import IceServers
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
 from pipelines.session.page_sockets import HAND_TOKEN, PageListener, listeners
 from pipelines.session.served_pages import (
-    ServerWish,
+    ServerOptions,
     add_page_arguments,
     announced_pages,
     base_url,
@@ -56,13 +56,13 @@ _Opened = tuple[Mapping[str, PageListener], Mapping[str, Mapping[str, object]]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RtcWish:
+class RtcOptions:
     """The leg as the options ask for it. servers: of each connection.
 
     token, hand_token: "" for a new one. hand_token: None where nobody steers.
     """
 
-    server: ServerWish
+    server: ServerOptions
     token: str
     hand_token: str | None
     servers: Callable[[], IceServers]
@@ -84,7 +84,7 @@ def add_rtc_arguments(parser: argparse.ArgumentParser) -> None:
 
 def bound_rtc(
     args: argparse.Namespace, setup: Setup, segments: tuple[Segment, ...]
-) -> RtcWish | None:
+) -> RtcOptions | None:
     """Bind what the options ask for; None without a leg on this machine.
 
     ConfigError for options that cannot work, and for an address that cannot be had.
@@ -107,29 +107,29 @@ def bound_rtc(
         raise ConfigError("--rtc-hand-token-file: write another token than --rtc-token-file has")
     server = bound_server(args.rtc or _RTC_PORT, RTC, "--rtc", args.page_cert)
     steers = setup.partner_arm != "none"
-    return RtcWish(
+    return RtcOptions(
         server=server, token=token, hand_token=hand_token if steers else None, servers=servers
     )
 
 
 @contextmanager
 def announced_rtc(
-    wish: RtcWish | None, session: str, *, quiet: bool
+    options: RtcOptions | None, session: str, *, quiet: bool
 ) -> Iterator[Mapping[str, PageListener]]:
     """Make token and certificate, print the addresses, and yield the listener by process.
 
     They are also in `rtc.json` in the session's directory, for programs of this user.
     """
-    if wish is None:
+    if options is None:
         yield {}
         return
     root = session_root(session)
-    with served(wish.server, root, "rtc") as (found, made):
+    with served(options.server, root, "rtc") as (found, made):
         listener = found[RTC]
-        if wish.token:
-            listener = replace(listener, operator_token=wish.token)
-        if wish.hand_token is not None:
-            hand_token = wish.hand_token or secrets.token_urlsafe(24)
+        if options.token:
+            listener = replace(listener, operator_token=options.token)
+        if options.hand_token is not None:
+            hand_token = options.hand_token or secrets.token_urlsafe(24)
             listener = replace(listener, people={HAND_TOKEN: hand_token})
         told = {
             "page": listener.url(RTC),
@@ -167,17 +167,17 @@ def add_outlet_arguments(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def announced_foxglove(
-    wish: ServerWish | None, session: str, *, quiet: bool
+    options: ServerOptions | None, session: str, *, quiet: bool
 ) -> Iterator[Mapping[str, PageListener]]:
     """Make tokens and certificate, print the addresses, and yield the listeners by process.
 
     The addresses are also in `foxglove.json` in the session's directory.
     """
-    if wish is None:
+    if options is None:
         yield {}
         return
     root = session_root(session)
-    with served(wish, root, "foxglove") as (found, made):
+    with served(options, root, "foxglove") as (found, made):
         listener = found[FOXGLOVE]
         url = listener.url(FOXGLOVE).replace("http", "ws", 1)
         watch = url.replace(listener.operator_token, listener.viewer_token)
@@ -195,8 +195,8 @@ def bound_metrics(args: argparse.Namespace) -> Mapping[str, PageListener]:
         return {}
     if find_spec("prometheus_client") is None:
         raise ConfigError("--metrics needs prometheus-client: pip install 'kontur-av[metrics]'")
-    wish = bound_server(args.metrics, METRICS, "--metrics")
-    return listeners(wish.sockets, wish.host, None)
+    options = bound_server(args.metrics, METRICS, "--metrics")
+    return listeners(options.sockets, options.host, None)
 
 
 @contextmanager
@@ -291,7 +291,7 @@ class SessionWays:
         self._args, self._topology = args, topology
         self._given = {**ros2_arguments(args), FRAMES: {"address": parse_frames(args.frames)}}
         self._packets = checked_packets(args, topology)
-        self._services = services_wish(args, segments)
+        self._services = services_options(args, segments)
         self._files = files_arguments(args, segments)
         self._pages = bound_pages(args, segments)
         self._rtc = bound_rtc(args, topology.setup, segments)

@@ -6,8 +6,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 
 from kontur_av.errors import ConfigError
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.recording.replay_setup import load_replay
-from pipelines.media.figures import CodingCosts
 from pipelines.report.model import SessionReport
 from pipelines.report.report_file import check_writable, end_report
 from pipelines.session.command_process import stopped_by_signals
@@ -106,7 +106,7 @@ def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
             session,
             setup,
             seconds=args.seconds,
-            seed=session.facts.seed if args.seed is None else args.seed,
+            seed=session.metadata.seed if args.seed is None else args.seed,
             media=not args.no_media,
             costs=costs,
             recode=str(args.replay) if args.recode else None,

@@ -13,7 +13,7 @@ from pipelines.commands.live_session import (
     made_directory,
     with_status,
 )
-from pipelines.commands.record import add_record_arguments, checked_wish
+from pipelines.commands.record import add_record_arguments, checked_options
 from pipelines.commands.session_parts import (
     add_part_arguments,
     add_task_arguments,
@@ -21,7 +21,7 @@ from pipelines.commands.session_parts import (
     checked_components,
     chosen_setup,
     task_arguments,
-    task_wish,
+    task_options,
 )
 from pipelines.commands.session_ways import SessionWays, add_way_arguments
 from pipelines.link.own_ends import hold_listen_port, path_line
@@ -43,7 +43,7 @@ from pipelines.session.options import (
 )
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
-from pipelines.session.terminals import write_wish
+from pipelines.session.terminals import write_request
 from pipelines.session.topology import RECORDER, Segment
 
 
@@ -75,9 +75,9 @@ def run(args: argparse.Namespace) -> int:
     inputs, pages = inputs_here(plan), not args.no_page
     check_sources(setup, inputs, pages=pages)
     components = checked_components(args, setup, plan.segments)
-    tasks = task_wish(args, setup, plan.segments)
+    tasks = task_options(args, setup, plan.segments)
     check_writable(args.report)
-    wish = checked_wish(args, setup)
+    options = checked_options(args, setup)
     clear_dead_sessions()
     check_room(setup, inputs, pages=pages)
     topology = asked_topology(args, plan, components, tasks=tasks is not None)
@@ -104,15 +104,15 @@ def run(args: argparse.Namespace) -> int:
         robot = topology.options.robot if here else Segment.SPACE.value
         if held_by := keep_latch(session, setup.name, robot):
             print(f"kontur-av: {held_by}", file=sys.stderr, flush=True)
-        if wish is not None:
-            clear_parts(Path(wish.file))
-            write_wish(session, wish)
+        if options is not None:
+            clear_parts(Path(options.file))
+            write_request(session, options)
         feed = SeatFeed(collector)
         launcher = Launcher(
             session=session,
             topology=topology,
             processes=topology.processes_here,
-            awaited=None if wish is None else RECORDER,
+            awaited=None if options is None else RECORDER,
             arguments={**task_arguments(tasks), **arguments, **peer},
             clock=clock,
             listener=collector,

@@ -14,10 +14,10 @@ from pipelines.report.report_file import WordsConsole
 from pipelines.session.command_process import output_that_may_fail, say
 from pipelines.session.option_rows import add_options
 from pipelines.session.served_pages import bound_server, served
-from pipelines.study.desk import StudyDesk, simulate_person
 from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
 from pipelines.study.plan import StudyPlan
 from pipelines.study.running import StudyFolder, StudyServer, check_scipy, load_study, write_tables
+from pipelines.study.trials import StudyTrials, simulate_person
 from telepresence.haptics.device.page import PageDevice
 
 _PAGE = "study"
@@ -79,12 +79,12 @@ def _report(folder: Path, plan: StudyPlan, trials: StudyFolder) -> None:
 
 
 async def _serve(args: argparse.Namespace, plan: StudyPlan, trials: StudyFolder) -> None:
-    wish = bound_server(args.page, _PAGE)
-    with TemporaryDirectory() as place, served(wish, Path(place), "page") as (found, made):
+    options = bound_server(args.page, _PAGE)
+    with TemporaryDirectory() as place, served(options, Path(place), "page") as (found, made):
         listener = found[_PAGE]
         device = PageDevice(start_m=(0.0, 0.0))
-        desk = StudyDesk(plan, device, trials.finished)
-        server = StudyServer(desk, device, listener, trials.add)
+        service = StudyTrials(plan, device, trials.finished)
+        server = StudyServer(service, device, listener, trials.add)
         say(f"{listener.url(_PAGE)}\nCtrl-C ends it; it goes on where it was")
         if made:
             say(f"certificate made for this study, SHA-256 {made}")

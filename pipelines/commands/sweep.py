@@ -12,7 +12,7 @@ from pipelines.report.report_file import check_writable, open_console, write_tex
 from pipelines.session.command_process import ended_alike
 from pipelines.session.option_rows import add_options
 from pipelines.virtual.campaign.sessions import add_place_arguments, jobs_of
-from pipelines.virtual.campaign.sweep import case_figures, chart, csv_rows, headings, rows
+from pipelines.virtual.campaign.sweep import case_metrics, chart, csv_rows, headings, rows
 from pipelines.virtual.campaign.sweep_file import kept_runs, load_sweep, run_missing
 from pipelines.virtual.media import check_virtual_sources
 
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
             run_missing(args, sweep, runs, jobs)
     except KeyboardInterrupt:
         ended_early = True
-    cases = case_figures(sweep, runs)
+    cases = case_metrics(sweep, runs)
     over = sum(run is not None for run in runs)
     title = f"{sweep.name}: {over} of {len(runs)} runs of {sweep.seconds:g} s on virtual time"
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))

@@ -17,7 +17,7 @@ from pipelines.session.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 _CLIENT = "kontur-av task"
-_PATIENCE_NS = 2_000_000_000
+_TIMEOUT_NS = 2_000_000_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +70,7 @@ def _shown(bus: TopicBus, session: str) -> ExperimentShown:
         for _ in range(20):
             if (octets := reader.latest_octets()) is not None:
                 return unpack(ExperimentShown, octets)
-            reader.wait(_PATIENCE_NS // 20)
+            reader.wait(_TIMEOUT_NS // 20)
     raise ConfigError(f"session {session} has no tasks: start it with --tasks or --plan PLAN.toml")
 
 

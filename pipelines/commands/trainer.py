@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
 from pipelines.session.option_rows import add_actions
-from pipelines.session.terminals import ask_desk, running_sessions
+from pipelines.session.terminals import running_sessions, send_request
 from pipelines.session.training import (
     CAMERA,
     END,
     EXERCISES,
-    TRAINER_DESK,
+    TRAINER_SOCKET,
     TrainerAnswer,
     TrainerRequest,
 )
@@ -24,7 +24,7 @@ _MISSING = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    camera = "camera NAME  the camera, such as iss_camera"
+    camera = "camera NAME  the camera, such as operator_camera"
     exercises: dict[str, Sequence[str]] = {
         name: (
             *(text, camera)[: 1 + (name == CAMERA)],
@@ -44,9 +44,9 @@ def run(args: argparse.Namespace) -> int:
         seconds=getattr(args, "seconds", 0.0),
         camera=getattr(args, "camera", ""),
     )
-    running = running_sessions(TRAINER_DESK)
+    running = running_sessions(TRAINER_SOCKET)
     session = acting_on(args.session, running, moves=True) if running else None
-    answer = ask_desk(TRAINER_DESK, request, TrainerAnswer, session, missing=_MISSING)
+    answer = send_request(TRAINER_SOCKET, request, TrainerAnswer, session, missing=_MISSING)
     if answer is None:
         print("kontur-av: the session's trainer has ended before it answered", file=sys.stderr)
         return 1

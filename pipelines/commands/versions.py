@@ -7,7 +7,7 @@ from kontur_av.clock import NS_PER_S
 from pipelines.link.key_files import default_key_path, read_key, trusted_identities
 from pipelines.session.command_process import say, stopped_by_signals
 from pipelines.session.option_rows import add_actions
-from pipelines.upkeep.desk import DiskStore
+from pipelines.upkeep.requests import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
 from telepresence.upkeep.file_store import read_folder, replace_file
 from telepresence.upkeep.manifest import MANIFEST, signed_manifest

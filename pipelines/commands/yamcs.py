@@ -39,15 +39,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    wish, frames = parse_packets(args.packets), parse_frames(args.frames)
+    options, frames = parse_packets(args.packets), parse_frames(args.frames)
     known = built_in_dictionary()
     components = load_components(args.telemetry, known)
     topology = topology_of(load_setup(args.setup), components=components)
     dictionary = session_dictionary(known, topology)
     files = instance_files(
         dictionary_xtce(dictionary, args.end),
-        wish.address,
-        udp=wish.udp,
+        options.address,
+        udp=options.udp,
         frames_port=None if frames is None else frames[1],
         http_port=args.http_port,
     )

@@ -12,12 +12,12 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import make_session_root
-from pipelines.files.desk import ENTITIES, FileDesk
+from pipelines.files.file_requests import ENTITIES, FileRequests
 from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
 from pipelines.session.datagrams import receive
-from pipelines.session.process import PATIENCE_NS, Context
-from pipelines.session.terminal_lines import FileAnswer, FileRequest, LineDesk, desk_name
-from pipelines.session.terminals import TerminalSockets, desk_path
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.terminal_lines import FileAnswer, FileRequest, LineServer, socket_name
+from pipelines.session.terminals import TerminalSockets, request_socket
 from pipelines.session.topology import Segment, maintenance_stream
 from telepresence.files.entity import LARGEST_LISTING, PUT, STORE, DirectoryJob, FileEntity, fenced
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
@@ -185,19 +185,19 @@ def run_files(
         delay_ns=delay_ns,
     )
     links = ServiceSockets(streams, services)
-    desk = FileDesk(entity)
+    service = FileRequests(entity)
 
     def answer(request: FileRequest, now_ns: int) -> FileAnswer:
         refusal, octets = directory.read(request.first) if request.file == PUT else ("", b"")
-        return desk.handle_request(request, octets, refusal, now_ns)
+        return service.handle_request(request, octets, refusal, now_ns)
 
-    lines = LineDesk(FileRequest, answer)
+    lines = LineServer(FileRequest, answer)
     udp = context.listen_media(topology.exit_port(maintenance_stream(segment.peer.transmits)))
     send = context.sender(topology.entry_port(maintenance_stream(segment.transmits)))
-    context.on_flush(lambda: context.probe.tell(entity.report(clock.now_ns())))
-    context.on_flush(lambda: context.probe.tell(streams.report()))
+    context.on_flush(lambda: context.probe.publish(entity.report(clock.now_ns())))
+    context.on_flush(lambda: context.probe.publish(streams.report()))
     make_session_root(context.session)
-    terminals = TerminalSockets(desk_path(context.session, desk_name(segment)))
+    terminals = TerminalSockets(request_socket(context.session, socket_name(segment)))
     with context.open_bus() as bus:
         link = bus.reader(topology.link(segment.transmits).backlog_topic)
         state: Backlog | None = None
@@ -227,7 +227,7 @@ def run_files(
                 send(pdu)
             while (reply := lines.next_event()) is not None:
                 terminals.send(reply.terminal, reply.octets, last=reply.last)
-            look_ns = _LOOK_NS if entity.open or streams.open else PATIENCE_NS
+            look_ns = _LOOK_NS if entity.open or streams.open else TIMEOUT_NS
             due = [entity.poll_timeout(now_ns), streams.poll_timeout(now_ns), now_ns + look_ns]
             due_ns = min(one for one in due if one is not None)
             wait_s = max(0, due_ns - clock.now_ns()) / NS_PER_S

@@ -166,7 +166,7 @@ def _cut(link: socket.socket) -> None:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
 
 
-class ServicesWish(NamedTuple):
+class ServicesOptions(NamedTuple):
     """The services asked for, by name. ports: those to which programs at the end `here` connect.
 
     targets: the addresses at the end `there` to which streams are connected.
@@ -178,7 +178,7 @@ class ServicesWish(NamedTuple):
     targets: Mapping[str, Address]
 
 
-def services_wish(args: argparse.Namespace, segments: Sequence[Segment]) -> ServicesWish:
+def services_options(args: argparse.Namespace, segments: Sequence[Segment]) -> ServicesOptions:
     """Return the services of the options. Raises ConfigError for values that do not fit."""
     ports = _table(args.service, LISTEN, r"(\d{1,5})", "NAME=PORT, like ssh=2222")
     allowed = _table(
@@ -190,7 +190,7 @@ def services_wish(args: argparse.Namespace, segments: Sequence[Segment]) -> Serv
     for name in sorted(ports.keys() ^ allowed.keys()) if len(segments) > 1 else ():
         lacking = f"{ALLOW} {name}=HOST:PORT" if name in ports else f"{LISTEN} {name}=PORT"
         raise ConfigError(f"service {name}: both ends are here: give {lacking}, too")
-    return ServicesWish(
+    return ServicesOptions(
         Segment.GROUND if Segment.GROUND in segments else Segment.SPACE,
         Segment.SPACE if Segment.SPACE in segments else Segment.GROUND,
         {name: int(match[1]) for name, match in ports.items()},
@@ -203,12 +203,12 @@ def services_wish(args: argparse.Namespace, segments: Sequence[Segment]) -> Serv
 
 @contextmanager
 def bound_services(
-    wish: ServicesWish, files: Mapping[str, Mapping[str, object]]
+    options: ServicesOptions, files: Mapping[str, Mapping[str, object]]
 ) -> Iterator[Mapping[str, Mapping[str, object]]]:
     """Yield the arguments by process, with `services` added. ConfigError if a port is taken."""
     with ExitStack() as stack:
         listeners = {
-            name: stack.enter_context(_listener(name, port)) for name, port in wish.ports.items()
+            name: stack.enter_context(_listener(name, port)) for name, port in options.ports.items()
         }
         yield {
             **files,
@@ -216,8 +216,8 @@ def bound_services(
                 name: {
                     **files[name],
                     "services": ServicesPlan(
-                        listeners=listeners if name == FILES[wish.here] else {},
-                        targets=wish.targets if name == FILES[wish.there] else {},
+                        listeners=listeners if name == FILES[options.here] else {},
+                        targets=options.targets if name == FILES[options.there] else {},
                     ),
                 }
                 for name in FILES.values()

@@ -26,21 +26,21 @@ from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.recording.channels import (
     EVENTS,
     LOG_LINES,
-    SESSION_FIGURES,
+    SESSION_METRICS,
     ChannelRow,
     Content,
     Source,
     channels_of,
     sources_of,
 )
-from pipelines.recording.figures import FoxgloveFigures, RecordedChannel
-from pipelines.recording.messages import RecordedEvent
 from pipelines.recording.own_pictures import CameraCoder
+from pipelines.recording.recorded_messages import RecordedEvent
+from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecordedChannel
 from pipelines.recording.session_messages import ChannelMessage, Figure, Instants, SessionMessages
-from pipelines.seats.command_desk import CommandDesk
+from pipelines.seats.command_client import CommandClient
 from pipelines.seats.texts import CommandRequest
 from pipelines.session.access import VIEWER_WORDS
-from pipelines.session.figures import SampleNumbers, SessionEvents, gathered, nested_values
+from pipelines.session.session_metrics import SampleNumbers, SessionEvents, gathered, nested_values
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import TASKS, Segment, Topology
 
@@ -60,10 +60,10 @@ class Services:
 
     After each `handle_` send `poll_transmit`'s requests, and hand `next_event`'s answers over.
 
-    life: new in each life of the process.
+    boot_id: new in each start of the process.
     """
 
-    def __init__(self, topology: Topology, life: int) -> None:
+    def __init__(self, topology: Topology, boot_id: int) -> None:
         names = [
             name
             for name, (segment, application, *_) in _COMMANDS.items()
@@ -76,8 +76,8 @@ class Services:
         #: The tasks' names in the catalogue's order.
         self.tasks: Sequence[str] = ()
         self._rows = {row.number: row for row in self.rows}
-        self._desks = {
-            segment: CommandDesk(f"{_WHO} {life}")
+        self._services = {
+            segment: CommandClient(f"{_WHO} {boot_id}")
             for segment in {_COMMANDS[name][0] for name in names}
         }
         self._numbers = count(1)
@@ -86,7 +86,7 @@ class Services:
     @property
     def segments(self) -> Sequence[Segment]:
         """The ends whose news it needs."""
-        return list(self._desks)
+        return list(self._services)
 
     def handle_call(self, client: int, call: ServiceCall, now_ns: int) -> str:
         """A client that may calls a service. Return why not, or ""; the answer comes later."""
@@ -109,24 +109,24 @@ class Services:
         asked = CommandRequest(
             request=number, application=application, name=function, arguments=arguments
         )
-        self._desks[segment].handle_request(client, asked, _WHO, now_ns)
+        self._services[segment].handle_request(client, asked, _WHO, now_ns)
         return ""
 
     def handle_update(self, segment: Segment, update: CommandUpdate) -> None:
         """What became of a telecommand of this end."""
-        self._desks[segment].handle_update(update)
+        self._services[segment].handle_update(update)
 
     def poll_transmit(self, now_ns: int) -> tuple[Segment, SendCommand] | None:
         """Return a request for the TM/TC end of a segment, or None. Ask at least once a second."""
-        for segment, desk in self._desks.items():
-            if (request := desk.poll_transmit(now_ns)) is not None:
+        for segment, service in self._services.items():
+            if (request := service.poll_transmit(now_ns)) is not None:
                 return segment, request
         return None
 
     def next_event(self) -> tuple[int, bytes | str] | None:
         """Return the number of a client, which may be gone, and an answer for it; or None."""
-        for desk in self._desks.values():
-            if (answered := desk.next_event()) is not None:
+        for service in self._services.values():
+            if (answered := service.next_event()) is not None:
                 call = self._open.pop(answered.request)
                 if answered.error:
                     told: bytes | str = service_failure(call.service, call.call, answered.error)
@@ -145,7 +145,7 @@ _KEPT_EVENTS = 200
 def live_channels(topology: Topology) -> tuple[ChannelRow, ...]:
     """Return the channels of a session that have messages while it runs on this machine."""
     topics = {name for source in sources_of(topology) for name in source.channels}
-    topics |= {EVENTS, LOG_LINES, SESSION_FIGURES}
+    topics |= {EVENTS, LOG_LINES, SESSION_METRICS}
     return tuple(row for row in channels_of(topology) if row.topic in topics)
 
 
@@ -154,11 +154,13 @@ class Bridge:
 
     Read the topics of `wanted`, and drain `next_event` after each input. Call `handle_time` often.
 
-    session: its name. wall_offset_ns: wall time less the session's clock. life: new in each life of
+    session: its name. wall_offset_ns: wall time less the session's clock. boot_id: new in each start of
     the process.
     """
 
-    def __init__(self, topology: Topology, session: str, *, wall_offset_ns: int, life: int) -> None:
+    def __init__(
+        self, topology: Topology, session: str, *, wall_offset_ns: int, boot_id: int
+    ) -> None:
         self._session = session
         self._rows = {row.number: row.topic for row in live_channels(topology)}
         self._advertised = protocol.advertise(live_channels(topology))
@@ -179,10 +181,10 @@ class Bridge:
         }
         self._coded = count(1)
         self._events: deque[Sequence[ChannelMessage]] = deque(maxlen=_KEPT_EVENTS)
-        self._figures: Mapping[str, Figure] = {}
-        self._figures_ns = 0
+        self._metrics: Mapping[str, Figure] = {}
+        self._metrics_ns = 0
         self._setup = dict(nested_values(tomllib.loads(setup_toml(topology.setup)), "setup"))
-        self.services = Services(topology, life)
+        self.services = Services(topology, boot_id)
         #: By channel, of clients that have gone; missed: of all.
         self._sent: Counter[str] = Counter()
         self._dropped: Counter[str] = Counter()
@@ -258,9 +260,9 @@ class Bridge:
             return
         if topic in self._coders:
             self._coders[topic].handle_part()
-        if topic == SESSION_FIGURES and self._figures:
+        if topic == SESSION_METRICS and self._metrics:
             self._messages.handle_fresh()
-            told = self._messages.of_figures(self._figures, self._figures_ns, now_ns)
+            told = self._messages.of_metrics(self._metrics, self._metrics_ns, now_ns)
             client.put(told, now_ns)
         for event in self._events if topic in (EVENTS, LOG_LINES) else ():
             for message in event:
@@ -269,8 +271,8 @@ class Bridge:
 
     def _parameters(self, names: Sequence[str]) -> dict[str, protocol.Value]:
         """The values of those that there are; all without any name."""
-        figures = {f"figures.{name}": value for name, value in self._figures.items()}
-        known = {**self._setup, **figures}
+        metrics = {f"figures.{name}": value for name, value in self._metrics.items()}
+        known = {**self._setup, **metrics}
         return {name: known[name] for name in names or known if name in known}
 
     # The session
@@ -332,12 +334,12 @@ class Bridge:
     def handle_told(self, told: SessionEvents, now_ns: int) -> None:
         """The launcher tells figures, and what happened."""
         at_ns = told.at_us * NS_PER_US
-        if told.figures:
-            before, self._figures, self._figures_ns = self._figures, told.figures, at_ns
-            self._put([self._messages.of_figures(told.figures, at_ns, now_ns)], now_ns)
+        if told.metrics:
+            before, self._metrics, self._metrics_ns = self._metrics, told.metrics, at_ns
+            self._put([self._messages.of_metrics(told.metrics, at_ns, now_ns)], now_ns)
             changed: dict[str, protocol.Value] = {
                 f"figures.{name}": value
-                for name, value in told.figures.items()
+                for name, value in told.metrics.items()
                 if name not in before or before[name] != value
             }
             for client in self._clients.values():
@@ -367,11 +369,11 @@ class Bridge:
         asked = (video.next_event() for video in self._videos.values())
         return next((one for one in asked if one is not None), None)
 
-    def figures(self, now_ns: int) -> FoxgloveFigures:
+    def metrics(self, now_ns: int) -> FoxgloveMetrics:
         clients = self._clients.values()
         sent = sum((client.sent for client in clients), self._sent)
         dropped = sum((client.dropped for client in clients), self._dropped)
-        return FoxgloveFigures(
+        return FoxgloveMetrics(
             watching=len(clients),
             channels={
                 channel: RecordedChannel(

@@ -26,7 +26,7 @@ from kontur_av.media import CaptureStamp, VideoCodec
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.foxglove.protocol import Value, message_data, parameter_values, status
 from pipelines.recording.channels import Source
-from pipelines.recording.own_pictures import KEY_PATIENCE_NS, MOST_HELD_OCTETS, StreamStart
+from pipelines.recording.own_pictures import KEY_TIMEOUT_NS, MOST_HELD_OCTETS, StreamStart
 from pipelines.recording.session_messages import ChannelMessage, Instants, SessionMessages
 from pipelines.seats.open_page import MessageRate
 
@@ -250,10 +250,10 @@ class LiveVideo:
         channels, clients = self._source.channels, self._clients.values()
         if not any(client.reads(name) for client in clients for name in channels):
             return
-        picture, facts = self._messages.of_unit(self._source, unit, unit.data, stamp, at)
+        picture, metadata = self._messages.of_unit(self._source, unit, unit.data, stamp, at)
         waiting = takers if self._held is None else self._held.takers
         for number, client in self._clients.items():
-            client.put(facts, now_ns)
+            client.put(metadata, now_ns)
             # A client's decoder may close on a unit that ours refused.
             if unit.refused and unit.codec == "h265":
                 # The next units refer to it, and decoders of HEVC conceal nothing.
@@ -312,7 +312,7 @@ class LiveVideo:
             self._release(told, now_ns)
 
     def handle_time(self, now_ns: int) -> None:
-        if self._held is not None and now_ns - self._held.at.now_ns >= KEY_PATIENCE_NS:
+        if self._held is not None and now_ns - self._held.at.now_ns >= KEY_TIMEOUT_NS:
             self._handle_key(None, now_ns)
 
     def _release(self, key: Sequence[ChannelMessage], now_ns: int) -> None:

@@ -25,10 +25,10 @@ from pipelines.recording.channels import Content, Source, sources_of
 from pipelines.recording.session_messages import Instants
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.session.access import AccessError, AccessKind, Found, Role
-from pipelines.session.figures import SessionEvents
 from pipelines.session.mission_messages import ExperimentShown, unpack
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop, TopicState
+from pipelines.session.session_metrics import SessionEvents
 from pipelines.session.topology import (
     FOXGLOVE,
     MISSION_GROUND_TOPIC,
@@ -61,7 +61,7 @@ class _FoxgloveServer:
             context.topology,
             context.session,
             wall_offset_ns=context.clock.wall_offset_ns,
-            life=self._now_ns(),
+            boot_id=self._now_ns(),
         )
         self._site = WebSite(context.pages[FOXGLOVE], seat=FOXGLOVE)
         self._sockets = SeatSockets(self._now_ns)
@@ -82,11 +82,11 @@ class _FoxgloveServer:
 
     async def run(self) -> None:
         """Serve, and close all sockets in the end."""
-        self._context.on_flush(self._tell)
+        self._context.on_flush(self._publish)
         for feed in self._news:
             feed.open()
         if self._context.link is not None:
-            self._serving.loop.add_reader(self._context.link.fileno(), self._take_figures)
+            self._serving.loop.add_reader(self._context.link.fileno(), self._take_metrics)
         try:
             async with self._site.served("pipelines.foxglove", self._answer, self._sockets.close):
                 self._serving.begin(self._read())
@@ -103,8 +103,8 @@ class _FoxgloveServer:
             self._settle()
             await asyncio.sleep((_WAKE_NS if self._wakes else _IDLE_NS) / NS_PER_S)
 
-    def _take_figures(self) -> None:
-        while (text := self._context.receive_figures()) is not None:
+    def _take_metrics(self) -> None:
+        while (text := self._context.receive_metrics()) is not None:
             self._bridge.handle_told(msgspec.json.decode(text, type=SessionEvents), self._now_ns())
         self._settle()
 
@@ -132,10 +132,10 @@ class _FoxgloveServer:
         self._bridge.handle_key_picture(asked, key, self._now_ns())
         self._settle()
 
-    def _tell(self) -> None:
-        self._context.probe.tell(
+    def _publish(self) -> None:
+        self._context.probe.publish(
             replace(
-                self._bridge.figures(self._now_ns()),
+                self._bridge.metrics(self._now_ns()),
                 connections=self._sockets.connections,
                 refused=dict(self._site.refused),
                 garbage=self._sockets.garbage,

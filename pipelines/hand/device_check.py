@@ -22,15 +22,15 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.errors import ConfigError
 from kontur_av.returned import PartError, fault_of, taken
 from telepresence.haptics.axes import (
-    AxisFacts,
+    AxisCapabilities,
     AxisName,
     AxisReading,
     MoreAxis,
     check_axes,
 )
-from telepresence.haptics.device.device import JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.script import CheckResult, Figure
-from telepresence.haptics.robot import RobotFacts
+from telepresence.haptics.robot import RobotCapabilities
 from telepresence.haptics.robot_device import RobotReading
 
 
@@ -39,11 +39,11 @@ class _AxisView:
 
     def __init__(self, device: Any, index: int) -> None:
         self._device, self._index = device, index
-        self.axis = MoreAxis(device.facts.more[index])
+        self.axis = MoreAxis(device.capabilities.more[index])
 
     def write_force(self, x_n: float, y_n: float) -> None:
         self._device.write_force(0.0, 0.0)
-        forces = [0.0] * len(self._device.facts.more)
+        forces = [0.0] * len(self._device.capabilities.more)
         forces[self._index] = (x_n + y_n) * self.axis.lever_m
         self._device.write_more_forces(forces)
 
@@ -52,8 +52,8 @@ class _AxisView:
 
     def _more(self) -> AxisReading:
         lever_m = self.axis.lever_m
-        place, speed, push, contact = self._device.read_more()[self._index]
-        return AxisReading(place * lever_m, speed * lever_m, push / lever_m, contact)
+        position, speed, push, contact = self._device.read_more()[self._index]
+        return AxisReading(position * lever_m, speed * lever_m, push / lever_m, contact)
 
 
 class RobotAxis(_AxisView):
@@ -61,15 +61,15 @@ class RobotAxis(_AxisView):
 
     def __init__(self, device: Any, index: int) -> None:
         super().__init__(device, index)
-        axis, facts = self.axis, device.facts
-        self.facts = RobotFacts(
-            name=axis.facts.name,
-            takes=facts.takes,
+        axis, capabilities = self.axis, device.capabilities
+        self.capabilities = RobotCapabilities(
+            name=axis.capabilities.name,
+            takes=capabilities.takes,
             force_limit_n=axis.force_limit_n,
             speed_m_s=axis.most_m_s,
             half_width_m=axis.half_m,
             half_height_m=axis.half_m,
-            runs_alone=facts.runs_alone,
+            runs_alone=capabilities.runs_alone,
         )
 
     def configure(self) -> None:
@@ -79,7 +79,7 @@ class RobotAxis(_AxisView):
 
     def activate(self) -> None:
         self._rest = self._device.read()
-        self._places = [one.place for one in self._device.read_more()]
+        self._positions = [one.position for one in self._device.read_more()]
         self._device.activate()
 
     def deactivate(self) -> None:
@@ -87,16 +87,16 @@ class RobotAxis(_AxisView):
 
     def read(self) -> RobotReading:
         error = self._device.read().error
-        place_m, speed_m_s, push_n, contact = self._more()
-        return RobotReading(place_m, 0.0, speed_m_s, 0.0, push_n, 0.0, contact, error)
+        position_m, speed_m_s, push_n, contact = self._more()
+        return RobotReading(position_m, 0.0, speed_m_s, 0.0, push_n, 0.0, contact, error)
 
     def write_position(self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float) -> None:
         lever_m = self.axis.lever_m
         self._device.write_position(self._rest.x_m, self._rest.y_m, 0.0, 0.0)
-        places, speeds = [*self._places], [0.0] * len(self._places)
-        places[self._index] = (x_m + y_m) / lever_m
+        positions, speeds = [*self._positions], [0.0] * len(self._positions)
+        positions[self._index] = (x_m + y_m) / lever_m
         speeds[self._index] = (vx_m_s + vy_m_s) / lever_m
-        self._device.write_more_positions(places, speeds)
+        self._device.write_more_positions(positions, speeds)
 
 
 class JoystickAxis(_AxisView):
@@ -105,17 +105,17 @@ class JoystickAxis(_AxisView):
     def __init__(self, device: Any, index: int) -> None:
         super().__init__(device, index)
         axis = self.axis
-        self.facts = JoystickFacts(
-            name=axis.facts.name,
+        self.capabilities = JoystickCapabilities(
+            name=axis.capabilities.name,
             half_width_m=axis.half_m,
             half_height_m=axis.half_m,
-            force_limit_n=axis.force_limit_n if device.facts.has_force else 0.0,
+            force_limit_n=axis.force_limit_n if device.capabilities.has_force else 0.0,
         )
 
     def read(self) -> JoystickReading:
-        place_m, speed_m_s, *_ = self._more()
+        position_m, speed_m_s, *_ = self._more()
         reading: JoystickReading = self._device.read()
-        return reading._replace(x_m=place_m, y_m=0.0, vx_m_s=speed_m_s, vy_m_s=0.0)
+        return reading._replace(x_m=position_m, y_m=0.0, vx_m_s=speed_m_s, vy_m_s=0.0)
 
     def set_zero(self, x_m: float, y_m: float) -> None:
         """Its middle is where the device reads 0."""
@@ -186,8 +186,8 @@ class DeviceCheck(Generic[R]):
         Raises ConfigError if it cannot be switched on or off.
         """
         try:
-            facts = self._switched_on()
-            yield self._check("facts", lambda: self._facts(facts))
+            capabilities = self._switched_on()
+            yield self._check("facts", lambda: self._capabilities(capabilities))
             for name, check, lacks in self._checks():
                 yield CheckResult(name, skipped=lacks) if lacks else self._check(name, check)
         finally:
@@ -199,21 +199,21 @@ class DeviceCheck(Generic[R]):
 
     def _switched_on(self) -> Any:
         try:
-            facts = self._switch_on()
+            capabilities = self._switch_on()
             if self._axes is not None:
-                check_axes(facts.name, facts.more, self._axes)
+                check_axes(capabilities.name, capabilities.more, self._axes)
         except Exception as error:
             raise ConfigError(fault_of("the driver", error)) from error
-        return facts
+        return capabilities
 
-    def _facts(self, facts: Any) -> tuple[Figure, ...]:
+    def _capabilities(self, capabilities: Any) -> tuple[Figure, ...]:
         """They can be."""
-        taken(self._known, facts, "facts")
+        taken(self._known, capabilities, "facts")
         return ()
 
     def moves(self) -> tuple[Figure, ...]:
         """It moves along each axis where it is pushed, or led, and not aside."""
-        figures: list[Figure] = []
+        metrics: list[Figure] = []
         for axis in (0, 1) if self._axis is None else (0,):
             began = self._read()
             self._metered = True
@@ -223,15 +223,15 @@ class DeviceCheck(Generic[R]):
             ways = [(one.x_m - began.x_m, one.y_m - began.y_m) for one in pushed]
             way_m = max(way[axis] for way in ways)
             if self._axis is not None:
-                figures.append(Figure("way", way_m * 1e3, "mm", least=0.5))
+                metrics.append(Figure("way", way_m * 1e3, "mm", least=0.5))
                 continue
             aside_m = max(abs(way[1 - axis]) for way in ways)
             name = "xy"[axis]
-            figures += (
+            metrics += (
                 Figure(f"way along {name}", way_m * 1e3, "mm", least=0.5),
                 Figure(f"aside of {name}", aside_m * 1e3, "mm", most=max(1.0, way_m * 500)),
             )
-        return tuple(figures)
+        return tuple(metrics)
 
     def passivity(self) -> tuple[Figure, ...]:
         """While `moves` pushed and braked it, it never had given more energy than it got."""
@@ -285,7 +285,7 @@ class DeviceCheck(Generic[R]):
         """What the device gets, when it exerts this force (N, N)."""
         return wanted[0] * reading.vx_m_s + wanted[1] * reading.vy_m_s
 
-    def _number_figures(self, readings: Sequence[Sequence[Any]]) -> tuple[Figure, ...]:
+    def _number_metrics(self, readings: Sequence[Sequence[Any]]) -> tuple[Figure, ...]:
         """Figures of the numbers in all readings: not finite, the same again."""
         wrong = sum(not all(map(isfinite, numbers)) for numbers in readings)
         # Before its first motion and after its last it may measure the same.
@@ -304,16 +304,16 @@ class DeviceCheck(Generic[R]):
 
     def _axes_checks(self) -> Iterator[Check]:
         """Yield the checks of the axes behind x and y; none of one that is described wrongly."""
-        for index, facts in enumerate(self._device.facts.more):
-            if isinstance(facts, AxisFacts):
+        for index, capabilities in enumerate(self._device.capabilities.more):
+            if isinstance(capabilities, AxisCapabilities):
                 view = self._view(self._device, index)
                 check = type(self)(view, self._clock)
                 check._axis, check._calls_ns = view.axis, self._calls_ns
-                in_its_unit = partial(_in_its_unit, lever_m=facts.lever_m)
+                in_its_unit = partial(_in_its_unit, lever_m=capabilities.lever_m)
                 check._switch_on()
                 for name, each, lacks in check._checks():
                     if name not in _WHOLE:
-                        yield f"{facts.name} {name}", partial(in_its_unit, each), lacks
+                        yield f"{capabilities.name} {name}", partial(in_its_unit, each), lacks
 
     def _check(self, name: str, check: Callable[[], tuple[Figure, ...]]) -> CheckResult:
         try:
@@ -392,10 +392,10 @@ def speed(reading: JoystickReading | RobotReading) -> float:
 
 def _in_its_unit(check: Callable[[], tuple[Figure, ...]], *, lever_m: float) -> tuple[Figure, ...]:
     """Figures of a rotation in rad instead of the path at its lever."""
-    figures = check()
+    metrics = check()
     if lever_m == 1.0:
-        return figures
-    return tuple(_rotated(each, lever_m) for each in figures)
+        return metrics
+    return tuple(_rotated(each, lever_m) for each in metrics)
 
 
 def _rotated(figure: Figure, lever_m: float) -> Figure:

@@ -26,14 +26,14 @@ from telepresence.haptics.axes import AxisName, MoreAxes
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.device import (
     KEEPS_FORCE_NS,
+    JoystickCapabilities,
     JoystickDevice,
-    JoystickFacts,
     JoystickReading,
 )
 from telepresence.haptics.device.script import Figure
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
-from telepresence.haptics.robot import RobotFacts
+from telepresence.haptics.robot import RobotCapabilities
 from telepresence.haptics.robot_device import RobotDevice, RobotReading
 from telepresence.haptics.schedule import PeriodicSchedule
 
@@ -48,7 +48,7 @@ _MOST_CALL_MS = 1.0
 class RobotCheck(DeviceCheck[RobotReading]):
     """The checks of one robot. It moves by a few centimetres."""
 
-    _known, _view = RobotFacts, RobotAxis
+    _known, _view = RobotCapabilities, RobotAxis
     _device: RobotDevice
 
     def __init__(
@@ -58,7 +58,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         self._takes_force = self._powered = False
         self._deactivations_ns: list[int] = []
         #: Where the axes behind x and y were when it was activated, and stay.
-        self._places: list[float] = []
+        self._positions: list[float] = []
 
     def power_on(self) -> tuple[Figure, ...]:
         """It stands still though it has power."""
@@ -87,7 +87,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
             late = self._cycles(KEEPS_FORCE_NS, None)
             after = self._cycles(SPELL_NS // 6, None)
         fastest = max(map(speed, late + after))
-        figure = Figure("speed", fastest, "m/s", most=self._device.facts.speed_m_s)
+        figure = Figure("speed", fastest, "m/s", most=self._device.capabilities.speed_m_s)
         # Of one that runs alone, `silence` tells.
         keeps = self._takes_force and not self._runs_alone
         return (figure, self._slows(late, after)) if keeps else (figure,)
@@ -106,9 +106,9 @@ class RobotCheck(DeviceCheck[RobotReading]):
 
     def readings(self) -> tuple[Figure, ...]:
         """All measurements are numbers, and follow one from the other."""
-        most = 2 * self._device.facts.speed_m_s
+        most = 2 * self._device.capabilities.speed_m_s
         return (
-            *self._number_figures([one[:6] for one in self._readings]),
+            *self._number_metrics([one[:6] for one in self._readings]),
             Figure("steps", self._step_m_s, "m/s", most=most),
         )
 
@@ -124,17 +124,17 @@ class RobotCheck(DeviceCheck[RobotReading]):
             return ()
         return self._still(after)
 
-    def _switch_on(self) -> RobotFacts:
+    def _switch_on(self) -> RobotCapabilities:
         device = self._device
         device.configure()
-        if not isinstance(device.facts, RobotFacts):
+        if not isinstance(device.capabilities, RobotCapabilities):
             # Refused here, before it has power; wrong values are the check of its facts.
-            taken(RobotFacts, device.facts, "facts")
-        self._takes_force = device.facts.takes == "force"
-        self._runs_alone = device.facts.runs_alone
+            taken(RobotCapabilities, device.capabilities, "facts")
+        self._takes_force = device.capabilities.takes == "force"
+        self._runs_alone = device.capabilities.runs_alone
         self._powered = True
         device.power_on()
-        return device.facts
+        return device.capabilities
 
     def _switch_off(self) -> None:
         if self._powered:
@@ -160,8 +160,8 @@ class RobotCheck(DeviceCheck[RobotReading]):
 
     @contextmanager
     def _activated(self) -> Iterator[None]:
-        if self._device.facts.more:
-            self._places = [one.place for one in cast(MoreAxes, self._device).read_more()]
+        if self._device.capabilities.more:
+            self._positions = [one.position for one in cast(MoreAxes, self._device).read_more()]
         self._device.activate()
         try:
             yield
@@ -171,10 +171,10 @@ class RobotCheck(DeviceCheck[RobotReading]):
             self._deactivations_ns.append(self._clock.now_ns() - began_ns)
 
     def _gentle(self, axis: int) -> Order:
-        facts = self._device.facts
+        capabilities = self._device.capabilities
         if self._takes_force:
-            return lambda _: along(axis, GENTLE * facts.force_limit_n)
-        half_m = facts.half_height_m if axis else facts.half_width_m
+            return lambda _: along(axis, GENTLE * capabilities.force_limit_n)
+        half_m = capabilities.half_height_m if axis else capabilities.half_width_m
         return lambda share: along(axis, GENTLE * half_m * share)
 
     def _push(self, axis: int) -> list[RobotReading]:
@@ -182,7 +182,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
             if not self._takes_force:
                 return self._cycles(2 * SPELL_NS, self._gentle(axis))
             pushed = self._cycles(SPELL_NS // 3, self._gentle(axis))
-            self._brake(2 * SPELL_NS, self._device.facts.force_limit_n)
+            self._brake(2 * SPELL_NS, self._device.capabilities.force_limit_n)
         return pushed
 
     def _read(self) -> RobotReading:
@@ -194,12 +194,12 @@ class RobotCheck(DeviceCheck[RobotReading]):
             device.write_force(*wanted)
         elif wanted is not None:
             device.write_position(began.x_m + wanted[0], began.y_m + wanted[1], 0.0, 0.0)
-        if wanted is not None and device.facts.more:
-            axes, none = cast(MoreAxes, device), [0.0] * len(device.facts.more)
+        if wanted is not None and device.capabilities.more:
+            axes, none = cast(MoreAxes, device), [0.0] * len(device.capabilities.more)
             if self._takes_force:
                 axes.write_more_forces(none)
             else:
-                axes.write_more_positions(self._places, none)
+                axes.write_more_positions(self._positions, none)
         device.advance(NS_PER_MS)
         return self._read()
 
@@ -216,12 +216,12 @@ _REST = (0.0, 0.0)
 class JoystickCheck(DeviceCheck[JoystickReading]):
     """The checks of one joystick, with hands off. It moves by a few centimetres."""
 
-    _known, _view = JoystickFacts, JoystickAxis
+    _known, _view = JoystickCapabilities, JoystickAxis
     _device: JoystickDevice
 
     def __init__(self, device: JoystickDevice, clock: Clock) -> None:
         super().__init__(device, clock)
-        self._limit_n = device.facts.force_limit_n
+        self._limit_n = device.capabilities.force_limit_n
         self._open = False
         #: Each push goes back where the one before came from.
         self._way = 1.0
@@ -273,7 +273,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         gone = sum(not one.present for one in self._readings)
         most = Limits().speed_m_s
         return (
-            *self._number_figures([(*one[:4], one.temperature_c or 0.0) for one in self._readings]),
+            *self._number_metrics([(*one[:4], one.temperature_c or 0.0) for one in self._readings]),
             Figure("not present", gone, most=0),
             Figure("steps", self._step_m_s, "m/s", most=most),
         )
@@ -287,7 +287,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
     def unplugged(self) -> tuple[Figure, ...]:
         """Closed, it has no force, and says that it is gone, as without its plug."""
         pushed = []
-        if self._device.facts.has_force:
+        if self._device.capabilities.has_force:
             pushed = self._cycles(SPELL_NS // 6, self._force(1, GENTLE))
         self._switch_off()
         after = self._cycles(SPELL_NS // 3, None)
@@ -295,11 +295,11 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         present = Figure("present", there, most=0)
         return (present, self._slows(pushed, after)) if pushed else (present,)
 
-    def _switch_on(self) -> JoystickFacts:
+    def _switch_on(self) -> JoystickCapabilities:
         self._open = True
         self._device.show_state(JoystickState.STANDBY)
         self._device.write_leds(0)
-        return self._device.facts
+        return self._device.capabilities
 
     def _switch_off(self) -> None:
         if self._open:
@@ -307,7 +307,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
             self._device.close()
 
     def _checks(self) -> Sequence[Check]:
-        no_motors = "" if self._device.facts.has_force else "it has no motors"
+        no_motors = "" if self._device.capabilities.has_force else "it has no motors"
         return (
             ("rest", self.rest, ""),
             ("moves", self.moves, no_motors),
@@ -343,7 +343,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         device = self._device
         if wanted is not None:
             device.write_force(*wanted)
-            if more := device.facts.more:
+            if more := device.capabilities.more:
                 cast(MoreAxes, device).write_more_forces([0.0] * len(more))
         device.advance(NS_PER_MS)
         return self._read()

@@ -10,7 +10,7 @@
 | `arm/state` | robot | `ArmState`: who drives |
 
 An operator hands the robot's haptic port over at the desk. A terminal's request is a line of JSON,
-`{"owner": "partner"}`; an empty owner only asks. The answer is `{"ok": true, "owner": "iss",
+`{"authority": "partner"}`; an empty owner only asks. The answer is `{"ok": true, "owner": "iss",
 "wanted": "partner", ...}` or `{"ok": false, "error": "..."}`.
 """
 
@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import msgspec
 
-from pipelines.session.terminal_lines import LineDesk
+from pipelines.session.terminal_lines import LineServer
+from telepresence.haptics.authority import Authority, AuthorityMetrics
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import REQUESTS, ExperimentName, JoystickEvent
-from telepresence.haptics.ownership import Owner, OwnershipFigures
 from telepresence.malformed import MALFORMED
 
 _INPUT = struct.Struct("<?ddIIqq")
@@ -96,7 +96,7 @@ class AxisStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """
 
     name: str
-    place: float
+    position: float
     half_range: float
     force: float
     force_limit: float
@@ -119,7 +119,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     None if unknown.
     axes: those behind x and y.
     test, test_part, test_reason, test_number: the newest functional test, as
-    `telepresence.haptics.device.functional_test.TestReport` has it. test_figures: what it measured,
+    `telepresence.haptics.device.functional_test.TestReport` has it. test_metrics: what it measured,
     by the figures' names; None where nothing could be.
     experiment: of the present or the next application. partner: whether a partner's robot is
     there; None: the session has none.
@@ -148,7 +148,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     test_part: str = "none"
     test_reason: str = ""
     test_number: int = 0
-    test_figures: dict[str, float | None] = {}
+    test_metrics: dict[str, float | None] = {}
     experiment: ExperimentName = ExperimentName.GERMAN
     partner: bool | None = None
 
@@ -171,30 +171,30 @@ _DECODER = msgspec.msgpack.Decoder(JoystickStatus)
 
 
 #: The name of the Unix socket of its desk.
-ARM_DESK = "arm"
-ARM_ORDER_OCTETS = max(len(owner.value) for owner in Owner)
+ARM_SOCKET = "arm"
+ARM_ORDER_OCTETS = max(len(authority.value) for authority in Authority)
 ARM_STATE_OCTETS = 256
-OWNERS = tuple(owner.value for owner in Owner)
+OWNERS = tuple(authority.value for authority in Authority)
 
 
 class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """Who drives: "iss", "partner" or "" for nobody. waiting: for a released dead-man button."""
 
-    owner: str = ""
+    authority: str = ""
     wanted: str = ""
     waiting: bool = False
     refused_iss: int = 0
     refused_partner: int = 0
 
     @classmethod
-    def of(cls, figures: OwnershipFigures, *, waiting: bool) -> "ArmState":
+    def of(cls, metrics: AuthorityMetrics, *, waiting: bool) -> "ArmState":
         """Return the state in the figures of a port; waiting: for a new press."""
         return cls(
-            owner="" if figures.owner is None else figures.owner.value,
-            wanted=figures.wanted.value,
-            waiting=waiting and figures.owner is not None,
-            refused_iss=figures.refused[Owner.ISS.value],
-            refused_partner=figures.refused[Owner.PARTNER.value],
+            authority="" if metrics.authority is None else metrics.authority.value,
+            wanted=metrics.wanted.value,
+            waiting=waiting and metrics.authority is not None,
+            refused_iss=metrics.refused[Authority.ISS.value],
+            refused_partner=metrics.refused[Authority.PARTNER.value],
         )
 
     def pack(self) -> bytes:
@@ -207,46 +207,46 @@ class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
         return msgspec.msgpack.decode(octets, type=cls)
 
 
-class OwnerRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """What a terminal asks. owner: who is to drive, or "" to ask who does; not checked yet."""
+class AuthorityRequest(msgspec.Struct, frozen=True, kw_only=True):
+    """What a terminal asks. authority: who is to drive, or "" to ask who does; not checked yet."""
 
-    owner: object = ""
+    authority: object = ""
 
 
-class OwnerAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The state, or why not. mistake: the request itself was wrong."""
 
     ok: bool
     error: str = ""
     mistake: bool = False
-    owner: str = ""
+    authority: str = ""
     wanted: str = ""
     waiting: bool = False
 
 
-class OwnerDesk:
+class ControlArbiter:
     """Takes requests. After each input publish `order`.
 
-    desk: takes them. order: who is to drive. It outlives the desk: give the last one at the start.
+    service: takes them. order: who is to drive. It outlives the desk: give the last one at the start.
     """
 
-    def __init__(self, order: Owner = Owner.ISS) -> None:
+    def __init__(self, order: Authority = Authority.ISS) -> None:
         self.order = order
         self._state = ArmState(wanted=order.value)
-        self.desk = LineDesk(OwnerRequest, self._answer)
+        self.service = LineServer(AuthorityRequest, self._answer)
 
     def handle_state(self, state: ArmState) -> None:
         """The robot has told who drives."""
         self._state = state
 
-    def _answer(self, request: OwnerRequest, _now_ns: int) -> OwnerAnswer:
-        wanted = request.owner
+    def _answer(self, request: AuthorityRequest, _now_ns: int) -> AuthorityAnswer:
+        wanted = request.authority
         if wanted != "":
             if wanted not in OWNERS:
                 error = f"no owner {wanted}: take {' or '.join(OWNERS)}"
-                return OwnerAnswer(ok=False, error=error, mistake=True)
-            self.order = Owner(wanted)
+                return AuthorityAnswer(ok=False, error=error, mistake=True)
+            self.order = Authority(wanted)
         state = self._state
-        return OwnerAnswer(
-            ok=True, owner=state.owner, wanted=self.order.value, waiting=state.waiting
+        return AuthorityAnswer(
+            ok=True, authority=state.authority, wanted=self.order.value, waiting=state.waiting
         )

@@ -8,12 +8,12 @@ from pipelines.hand.haptic_trace import BLOCK_ROWS
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
 from pipelines.hand.replaying import ReplayedEnd
 from pipelines.session.datagrams import receive
-from pipelines.session.figures import LatenessRow, LoopFigures
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.session_metrics import LatenessRow, LoopMetrics
 from pipelines.session.topology import Topology
 from telepresence.haptics.axes import sample_octets
 from telepresence.haptics.schedule import PeriodicSchedule
-from telepresence.haptics.session import LIVES
+from telepresence.haptics.session import BOOT_IDS
 from telepresence.world import WorldState
 
 #: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
@@ -34,9 +34,9 @@ def session_ports(topology: Topology, process: str) -> tuple[int, int]:
     return taken.exit_port, topology.entry_port(given.name)
 
 
-def new_life() -> int:
-    """The number of a new life of an end."""
-    return 1 + secrets.randbelow(LIVES - 1)
+def new_boot_id() -> int:
+    """The number of a new start of an end."""
+    return 1 + secrets.randbelow(BOOT_IDS - 1)
 
 
 def run_loop(
@@ -78,10 +78,10 @@ def run_loop(
     lateness_rows, add_lateness = probe.series(LatenessRow), lateness.append
 
     def fill() -> None:
-        end.tell()
+        end.publish()
         lateness_rows.extend_column(lateness)
         lateness.clear()
-        probe.tell(LoopFigures(slips=schedule.slips, cycles=schedule.cycles))
+        probe.publish(LoopMetrics(slips=schedule.slips, cycles=schedule.cycles))
 
     context.on_flush(fill)
     tick_ns = 0
@@ -120,5 +120,5 @@ def run_loop(
             for look in seldom:
                 look(now_ns)
         if now_ns >= tick_ns:
-            tick_ns = now_ns + PATIENCE_NS
+            tick_ns = now_ns + TIMEOUT_NS
             context.tick(now_ns)

@@ -5,16 +5,16 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.haptic_trace import HapticTrace, flags_of
-from pipelines.session.figures import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
+from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.states import ExperimentName
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.figures import WallFigures
+from telepresence.haptics.haptic_metrics import WallMetrics
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
-from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.haptics.sample import Feedback, carries_stop
@@ -69,15 +69,15 @@ class _End(Generic[Side]):
         session = self._link.session
         return isinstance(session, JoystickSession) and session.for_partner
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
-        self._probe.tell(link.sent_figures())
-        self._probe.tell(link.received_figures())
-        self._probe.tell(self.side.report())
+        self._probe.publish(link.sent_metrics())
+        self._probe.publish(link.received_metrics())
+        self._probe.publish(self.side.report())
         if self.side.axes is not None:
             for name, port in self.side.axes.report().items():
-                self._probe.tell(port, name)
+                self._probe.publish(port, name)
         self._sent.extend(link.take_sent_stamps())
         stamps = link.take_received_stamps()
         if not self._of_partner():
@@ -89,23 +89,23 @@ class _End(Generic[Side]):
 def robot_side(
     envelope: SafetyEnvelope,
     *,
-    life: int,
+    boot_id: int,
     deadband: bool = False,
     mediated: bool = False,
     residual: bool = False,
-    ownership: HapticOwnership | None = None,
+    ownership: ControlAuthority | None = None,
     robot: Robot | None = None,
 ) -> RobotSide:
     """Return a robot's side within the limits of its envelope.
 
-    life: 1 to 2^24-1; no earlier life of this end had it. residual: see `RobotSide`.
+    boot_id: 1 to 2^24-1; no earlier start of this end had it. residual: see `RobotSide`.
     ownership: where a partner may drive, too. robot: the simulated one, if None.
     """
     limits = envelope.limits
     max_age_ns = round(limits.command_max_age_s * NS_PER_S)
     more = 0 if robot is None else len(robot.more)
     return RobotSide(
-        link=robot_link(life=life, max_age_ns=max_age_ns, deadband=deadband, more=more),
+        link=robot_link(boot_id=boot_id, max_age_ns=max_age_ns, deadband=deadband, more=more),
         model=RobotControllerModel(
             speed_m_s=limits.speed_m_s,
             force_limit_n=limits.force_n,
@@ -140,7 +140,7 @@ class RobotEnd(_End[RobotSide]):
         self.envelope = side.envelope
         self._ownership = side.ownership
         #: Whether the newest datagram of a joystick had the emergency stop's bit.
-        self._stop_of = dict.fromkeys(Owner, False)
+        self._stop_of = dict.fromkeys(Authority, False)
         self.board = board
         if board is not None:
             self.handle_datagram = self._handle_routed
@@ -156,14 +156,14 @@ class RobotEnd(_End[RobotSide]):
         self._state: WorldState | None = None
 
     def _handle_iss(self, data: bytes, now_ns: int) -> None:
-        self._handle_of(Owner.ISS, data, now_ns)
+        self._handle_of(Authority.ISS, data, now_ns)
 
     def handle_partner(self, data: bytes, now_ns: int) -> None:
         """A datagram of the partner's joystick arrived."""
         if self._ownership is not None:
-            self._handle_of(Owner.PARTNER, data, now_ns)
+            self._handle_of(Authority.PARTNER, data, now_ns)
 
-    def _handle_of(self, source: Owner, data: bytes, now_ns: int) -> None:
+    def _handle_of(self, source: Authority, data: bytes, now_ns: int) -> None:
         """Take a datagram of one of two joysticks. Either may stop the robot; the owner drives."""
         assert self._ownership is not None
         stop, before = carries_stop(data), self._stop_of[source]
@@ -188,12 +188,12 @@ class RobotEnd(_End[RobotSide]):
         session.partner = board.is_there(now_ns)
         return self.side.poll_transmit(now_ns)
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Put the counters and stamps into the probe."""
-        super().tell()
-        self._probe.tell(self.envelope.report())
+        super().publish()
+        self._probe.publish(self.envelope.report())
         if self._ownership is not None:
-            self._probe.tell(self._ownership.report())
+            self._probe.publish(self._ownership.report())
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
         self._cycle(now_ns, advance_ns)
@@ -246,7 +246,7 @@ class JoystickEnd(_End[JoystickSide]):
 
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
         is reported, too.
-    life: as in `robot_side`.
+    boot_id: as in `robot_side`.
     mediated, residual: the hand feels the wall that `handle_wall` takes (see `JoystickSide`).
     """
 
@@ -254,20 +254,20 @@ class JoystickEnd(_End[JoystickSide]):
         self,
         probe: Probe,
         *,
-        life: int,
+        boot_id: int,
         deadband: bool = False,
         mediated: bool = False,
         residual: bool = False,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
         more = 0 if handle is None else len(handle.more)
-        link = joystick_link(life=life, deadband=deadband, more=more)
+        link = joystick_link(boot_id=boot_id, deadband=deadband, more=more)
         side = JoystickSide(link=link, handle=handle, mediated=mediated, residual=residual)
         super().__init__(side, probe)
         self.handle_wall = self.side.handle_wall
         held = self.side.handle
         self._operated = held if isinstance(held, OperatedHandle) else None
-        self._tell_hand = (
+        self._publish_hand = (
             held.handle_feedback if isinstance(held, OperatedHandle | HeldJoystick) else None
         )
         self._latest = self.side.link.latest
@@ -299,29 +299,29 @@ class JoystickEnd(_End[JoystickSide]):
         feedback = self._latest(now_ns)
         if feedback is not None:
             self._feel(now_ns, feedback.fx_n, feedback.fy_n, feedback.contact)
-        if self._tell_hand is not None:
-            self._tell_hand(feedback)
+        if self._publish_hand is not None:
+            self._publish_hand(feedback)
         if self._operated is not None:
             self._operated.command_age_ms = self.side.link.told_age_ms
         self._cycle(now_ns, advance_ns)
         if self.trace.rows is not None:
             self._add_row(now_ns, feedback)
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Put the counters and stamps into the probe, and the instants of the force's steps."""
-        super().tell()
+        super().publish()
         controller = self.side.controller
         if isinstance(controller, MediatedController):
             renderer = controller.renderer
-            self._probe.tell(
-                WallFigures(
+            self._probe.publish(
+                WallMetrics(
                     walls=renderer.used,
                     walls_stale=renderer.stale,
                     walls_garbage=controller.garbage,
                 )
             )
         if self._operated is not None:
-            self._probe.tell(self._operated.report())
+            self._probe.publish(self._operated.report())
         while (step := self._steps.next_event()) is not None:
             self._felt.add(StepRow(step.instant_ns))
 

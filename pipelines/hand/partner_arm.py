@@ -6,10 +6,10 @@ from contextlib import closing
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.desks import limits_of
 from pipelines.hand.hand_topics import ARM_STATE_OCTETS, ArmState
-from pipelines.hand.haptic_loop import Cycle, Send, new_life, run_loop
+from pipelines.hand.haptic_loop import Cycle, Send, new_boot_id, run_loop
 from pipelines.hand.haptics import CYCLE_NS, RobotEnd, robot_side
+from pipelines.hand.robot_commands import limits_of
 from pipelines.hand.safety_ends import follow_stop, within
 from pipelines.hand.timed_calls import take_power
 from pipelines.session.command_process import stopped_by_signals
@@ -24,9 +24,9 @@ from pipelines.session.topology import (
     SECOND_ROBOT_TOPIC,
     partner_ports,
 )
+from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.haptics.schedule import PeriodicSchedule
@@ -52,9 +52,9 @@ def run_second_robot(context: Context) -> None:
     robot = open_robot(spec)
     with closing(robot), context.open_bus() as bus:
         publish = state_publisher(bus, SECOND_ROBOT_TOPIC)
-        limits = within(context.setup.safety, robot.facts)
+        limits = within(context.setup.safety, robot.capabilities)
         envelope = SafetyEnvelope(limits, delay_ns=context.setup.round_trip_ns)
-        end = RobotEnd(context.probe, robot_side(envelope, life=new_life(), robot=robot))
+        end = RobotEnd(context.probe, robot_side(envelope, boot_id=new_boot_id(), robot=robot))
         watch, recover = keep_powered(robot, envelope)
         stop = follow_stop(KeptOrders(context.session), end)
         ports = partner_ports(context.setup)
@@ -70,7 +70,7 @@ def state_publisher(bus: TopicBus, topic: str) -> Callable[[WorldState], None]:
 def keep_powered(robot: Robot, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
     """Switch a robot on; return what watches it in each cycle, and what switches it on again."""
     control = RobotControl(
-        robot, limits=limits_of(robot.facts), powered=True, mode=ControlMode.TELEPRESENCE
+        robot, limits=limits_of(robot.capabilities), powered=True, mode=ControlMode.TELEPRESENCE
     )
 
     def watch(now_ns: int) -> None:
@@ -85,7 +85,7 @@ def keep_powered(robot: Robot, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
     return watch, recover
 
 
-def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cycle:
+def follow_authority(bus: TopicBus, ownership: ControlAuthority, end: RobotEnd) -> Cycle:
     """Return what takes the orders of the gateway application's desk, and tells who drives."""
     reader = bus.reader(ARM_ORDER_TOPIC)
     writer = NumberedTopic(bus, ARM_STATE_TOPIC, max_octets=ARM_STATE_OCTETS)
@@ -94,7 +94,7 @@ def follow_owner(bus: TopicBus, ownership: HapticOwnership, end: RobotEnd) -> Cy
     def follow(now_ns: int) -> None:
         nonlocal told
         if (order := reader.latest_octets()) is not None:
-            ownership.handle_order(Owner(order.decode("ascii")), now_ns)
+            ownership.handle_order(Authority(order.decode("ascii")), now_ns)
         state = ArmState.of(ownership.report(), waiting=end.envelope.waiting).pack()
         if state != told:
             told = state
@@ -132,15 +132,15 @@ def serve_board(context: Context, end: RobotEnd, board: PartnerBoard) -> Cycle:
     return serve
 
 
-def route_to_owner(ownership: HapticOwnership, to_partner: Send) -> Callable[[Send], Send]:
+def route_to_authority(ownership: ControlAuthority, to_partner: Send) -> Callable[[Send], Send]:
     """Return what makes, of a function that sends to the gateway, one that sends to the owner."""
 
     def routed(to_gateway: Send) -> Send:
         def send(sample: bytes) -> None:
-            owner = ownership.owner
-            if owner is Owner.ISS:
+            authority = ownership.authority
+            if authority is Authority.ISS:
                 to_gateway(sample)
-            elif owner is Owner.PARTNER:
+            elif authority is Authority.PARTNER:
                 to_partner(sample)
 
         return send
@@ -154,12 +154,12 @@ _LOOK_NS = 100 * NS_PER_MS
 
 def told(side: JoystickSide | RobotSide, peer: str) -> int:
     """Print what went to the peer and came from it; return 0 if something came, else 1."""
-    figures = side.link
+    metrics = side.link
     print(
-        f"{figures.sent} samples to the {peer}, {figures.received} from it, "
-        f"{figures.lost} lost, {figures.garbage} garbage"
+        f"{metrics.sent} samples to the {peer}, {metrics.received} from it, "
+        f"{metrics.lost} lost, {metrics.garbage} garbage"
     )
-    return 0 if figures.received else 1
+    return 0 if metrics.received else 1
 
 
 def run_side(

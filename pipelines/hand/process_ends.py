@@ -6,23 +6,23 @@ from contextlib import closing
 from dataclasses import fields
 
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.desks import JoystickStatusTeller, RobotDesk
 from pipelines.hand.hand_topics import (
     STATUS_OCTETS,
     JoystickOrders,
     RobotOrders,
     unpack_input,
 )
-from pipelines.hand.haptic_loop import Cycle, new_life, run_loop, session_ports
+from pipelines.hand.haptic_loop import Cycle, new_boot_id, run_loop, session_ports
 from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.partner_arm import (
-    follow_owner,
+    follow_authority,
     open_partner,
-    route_to_owner,
+    route_to_authority,
     serve_board,
     state_publisher,
 )
+from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
 from pipelines.hand.safety_ends import (
     UNKNOWN_JOYSTICK,
     UNKNOWN_ROBOT,
@@ -65,14 +65,14 @@ from pipelines.session.topology import (
     WALL_TOPIC,
 )
 from pipelines.session.training import Exercises
+from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.figures import HandInputFigures
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
+from telepresence.haptics.haptic_metrics import HandInputMetrics
 from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
 from telepresence.haptics.specs import open_device, open_robot
 from telepresence.haptics.udp_devices import UdpJoystick, UdpRobot
@@ -97,7 +97,7 @@ def both(first: Cycle, second: Cycle) -> Cycle:
     return work
 
 
-def serve_robot(bus: TopicBus, desk: RobotDesk, *, tasks: bool) -> Cycle:
+def serve_robot(bus: TopicBus, service: RobotCommands, *, tasks: bool) -> Cycle:
     """Return what takes orders and telecommands, and publishes what the controller does.
 
     tasks: there is a kernel that orders.
@@ -109,11 +109,11 @@ def serve_robot(bus: TopicBus, desk: RobotDesk, *, tasks: bool) -> Cycle:
     def serve(now_ns: int) -> None:
         if orders is not None:
             while (order := orders.next()) is not None:
-                desk.handle_order(order, orders.newest_ns, now_ns)
+                service.handle_order(order, orders.newest_ns, now_ns)
         # One at a time, so that each has its own answer.
         if (command := commands.next()) is not None:
-            desk.handle_command(command, commands.newest_ns, now_ns)
-        status = desk.poll_status(now_ns)
+            service.handle_command(command, commands.newest_ns, now_ns)
+        status = service.poll_status(now_ns)
         if status is not None:
             writer.publish(status, now_ns)
 
@@ -191,29 +191,29 @@ def run_robot(context: Context) -> None:
     robot = open_robot(context.topology.options.robot, context.setup.more_axes)
     with closing(robot), context.open_bus() as bus:
         if isinstance(robot, DrivenRobot):
-            _tell_datagrams(context, robot.device)
+            _publish_datagrams(context, robot.device)
         setup, topology = context.setup, context.topology
         tasks = topology.options.tasks
         mediated = setup.hand != "direct"
         # Nobody drives until the desk has told who is to.
-        ownership = HapticOwnership(None) if setup.partner_arm == "shared" else None
-        life = new_life()
+        ownership = ControlAuthority(None) if setup.partner_arm == "shared" else None
+        boot_id = new_boot_id()
         kept = KeptOrders(context.session)
         first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
         orders = kept.recall(ROBOT, first, UNKNOWN_ROBOT)
         board = None
         if setup.partner_arm == "board":
             # Nobody drives until our robot has rested.
-            asked = Owner.PARTNER if orders.board else Owner.ISS
-            ownership = HapticOwnership(None, wanted=asked)
+            asked = Authority.PARTNER if orders.board else Authority.ISS
+            ownership = ControlAuthority(None, wanted=asked)
             board = PartnerBoard(ownership)
         side = robot_side(
             SafetyEnvelope(
-                within(setup.safety, robot.facts),
+                within(setup.safety, robot.capabilities),
                 stopped=kept.stopped,
                 delay_ns=setup.round_trip_ns,
             ),
-            life=life,
+            boot_id=boot_id,
             deadband=setup.deadband != "off",
             mediated=mediated,
             residual=setup.hand == "auto",
@@ -229,32 +229,32 @@ def run_robot(context: Context) -> None:
                 to_gateway(wall)
 
         now_ns = context.clock.now_ns()
-        desk = RobotDesk(
-            end.side, life=life, tasks=tasks, now_ns=now_ns, orders=orders, board=board
+        service = RobotCommands(
+            end.side, boot_id=boot_id, tasks=tasks, now_ns=now_ns, orders=orders, board=board
         )
-        context.on_flush(lambda: context.probe.tell(desk.report()))
+        context.on_flush(lambda: context.probe.publish(service.report()))
         seldom = [
             follow_stop(kept, end),
             _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
-            serve_robot(bus, desk, tasks=tasks),
+            serve_robot(bus, service, tasks=tasks),
             # After what takes orders, so that a restarted process knows them.
-            keep_robot(kept, desk),
+            keep_robot(kept, service),
             watch_camera(bus, context.setup, end),
         ]
         if TRAINER_TOPIC in topology.reads(ROBOT):
-            control = desk.control
+            control = service.control
             seldom.append(
                 follow_exercises(bus, lambda told, _: control.handle_exercise(told.robot_ns))
             )
-        before: Cycle = desk.step
+        before: Cycle = service.step
         route = None
         if board is not None:
-            before = both(serve_board(context, end, board), desk.step)
+            before = both(serve_board(context, end, board), service.step)
         elif ownership is not None:
-            seldom.append(follow_owner(bus, ownership, end))
+            seldom.append(follow_authority(bus, ownership, end))
             take_partner, to_partner = open_partner(context, end)
-            before = both(take_partner, desk.step)
-            route = route_to_owner(ownership, to_partner)
+            before = both(take_partner, service.step)
+            route = route_to_authority(ownership, to_partner)
         run_loop(
             context,
             end,
@@ -277,7 +277,7 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
     axes = context.setup.more_axes
     device = open_device(context.topology.options.joystick, hand=hand, axes=axes)
     try:
-        _tell_datagrams(context, device)
+        _publish_datagrams(context, device)
         kept = KeptOrders(context.session)
         orders = kept.recall(JOYSTICK, JoystickOrders(paused=""), UNKNOWN_JOYSTICK)
         handle = OperatedHandle(device, paused=orders.paused)
@@ -285,7 +285,7 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
         board = setup.partner_arm == "board"
         end = JoystickEnd(
             context.probe,
-            life=new_life(),
+            boot_id=new_boot_id(),
             deadband=setup.deadband != "off",
             mediated=setup.hand != "direct",
             residual=setup.hand == "auto",
@@ -325,25 +325,25 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
         device.close()
 
 
-def _tell_datagrams(context: Context, device: RobotDevice | JoystickDevice) -> None:
+def _publish_datagrams(context: Context, device: RobotDevice | JoystickDevice) -> None:
     """Report what a controller that is reached by UDP sent and got."""
     if isinstance(device, UdpRobot | UdpJoystick):
-        figures = device.figures
-        context.on_flush(lambda: context.probe.tell(figures()))
+        metrics = device.metrics
+        context.on_flush(lambda: context.probe.publish(metrics()))
 
 
 def _trace(bus: TopicBus, topic: str, trace: HapticTrace) -> Cycle:
     """Return what publishes the rows of an end while they have readers."""
     writer = NumberedTopic(bus, topic, max_octets=BLOCK_OCTETS, wake=True)
 
-    def tell(now_ns: int) -> None:
+    def publish(now_ns: int) -> None:
         block = trace.poll_block()
         if block is not None:
             writer.publish_octets(block, now_ns)
         if trace.asks(now_ns):
             trace.handle_watched(writer.has_readers())
 
-    return tell
+    return publish
 
 
 def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycle:
@@ -355,7 +355,7 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
         requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
     commands = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
 
-    def tell(now_ns: int) -> None:
+    def publish(now_ns: int) -> None:
         # One at a time, so that each has its own answer.
         if requests is not None and (request := requests.next_octets()) is not None:
             teller.handle_request(request)
@@ -367,7 +367,7 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
         if teller.asks(now_ns):
             teller.handle_watched(writer.has_readers())
 
-    return tell
+    return publish
 
 
 def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
@@ -384,7 +384,7 @@ def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
 def _hand(context: Context, bus: TopicBus, device: PageDevice, topic: str) -> Cycle:
     """Return what takes the newest input of the page or node that holds the handle."""
     latest = bus.reader(topic).latest_octets
-    context.on_flush(lambda: context.probe.tell(HandInputFigures(inputs_ignored=device.ignored)))
+    context.on_flush(lambda: context.probe.publish(HandInputMetrics(inputs_ignored=device.ignored)))
 
     def take(now_ns: int) -> None:
         octets = latest()

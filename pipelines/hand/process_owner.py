@@ -1,24 +1,24 @@
-"""The process of the gateway application's desk. `OwnerDesk` decides.
+"""The process of the gateway application's desk. `ControlArbiter` decides.
 
 The last order is kept in a file, so that a desk or a robot that was killed goes on with it.
 """
 
 from kontur_av.topics.session_files import make_session_root, remember, session_root
-from pipelines.hand.hand_topics import ARM_DESK, ARM_ORDER_OCTETS, ArmState, OwnerDesk
+from pipelines.hand.hand_topics import ARM_ORDER_OCTETS, ARM_SOCKET, ArmState, ControlArbiter
 from pipelines.session.process import Context
 from pipelines.session.terminals import serve_terminals
 from pipelines.session.topic_ends import NumberedTopic
 from pipelines.session.topology import ARM_ORDER_TOPIC, ARM_STATE_TOPIC
-from telepresence.haptics.ownership import Owner
+from telepresence.haptics.authority import Authority
 
 
-def run_owner_desk(context: Context) -> None:
+def run_control_arbiter(context: Context) -> None:
     """Take an operator's orders, and publish who is to drive."""
     make_session_root(context.session)
     remembered = session_root(context.session) / "owner"
     known = remembered.read_text("ascii") if remembered.exists() else ""
-    known = known or Owner.ISS.value
-    desk = OwnerDesk(Owner(known))
+    known = known or Authority.ISS.value
+    service = ControlArbiter(Authority(known))
     with context.open_bus() as bus:
         writer = NumberedTopic(bus, ARM_ORDER_TOPIC, max_octets=ARM_ORDER_OCTETS)
         reader = bus.reader(ARM_STATE_TOPIC)
@@ -26,12 +26,12 @@ def run_owner_desk(context: Context) -> None:
         def follow(now_ns: int) -> None:
             nonlocal known
             if (state := reader.latest_octets()) is not None:
-                desk.handle_state(ArmState.unpack(state))
-            order = desk.order.value
+                service.handle_state(ArmState.unpack(state))
+            order = service.order.value
             if order != known:
                 known = order
                 remember(remembered, order.encode("ascii"))
             # Published repeatedly, for a robot that has started since.
             writer.publish_octets(order.encode("ascii"), now_ns)
 
-        serve_terminals(context, ARM_DESK, desk.desk, follow)
+        serve_terminals(context, ARM_SOCKET, service.service, follow)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pipelines.hand.haptic_trace import CONTACT, DEAD_MAN, axis_columns, lit_of, state_of
 from pipelines.hand.haptics import CYCLE_NS
-from pipelines.session.figures import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.axes import AXIS_NAMES, lever_of
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
@@ -85,18 +85,18 @@ class ReplayedEnd:
     `pipelines.hand.haptics`.
 
     rows: (n,), with the fields of `haptic_trace.ROW`, in order. robot: they are the robot's cycles,
-    else the joystick's. life: as in `RobotEnd`.
+    else the joystick's. boot_id: as in `RobotEnd`.
 
     Where two rows belong to one cycle, the newer one is sent; `superseded` counts the others.
     """
 
     def __init__(
-        self, rows: NDArray[np.void], time: ReplayTime, probe: Probe, *, robot: bool, life: int
+        self, rows: NDArray[np.void], time: ReplayTime, probe: Probe, *, robot: bool, boot_id: int
     ) -> None:
         self._robot = robot
         axes = [name for name in AXIS_NAMES if axis_columns(name)[0] in (rows.dtype.names or ())]
         make = robot_link if robot else joystick_link
-        self._link: HapticLink[Any, Any] = make(life=life, more=len(axes))
+        self._link: HapticLink[Any, Any] = make(boot_id=boot_id, more=len(axes))
         # Of each axis what the samples of this end carry, at its lever.
         self._levers = [lever_of(name) for name in axes]
         self._coming = _rows(rows, time, [axis_columns(name)[int(robot)] for name in axes])
@@ -147,11 +147,11 @@ class ReplayedEnd:
         """A replayed robot shows no state: always None."""
         return None
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
-        self._probe.tell(link.sent_figures())
-        self._probe.tell(link.received_figures())
+        self._probe.publish(link.sent_metrics())
+        self._probe.publish(link.received_metrics())
         self._sent.extend(link.take_sent_stamps())
         self._received.extend(link.take_received_stamps())
         while (step := self._steps.next_event()) is not None:

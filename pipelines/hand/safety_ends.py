@@ -12,10 +12,10 @@ from kontur_av.sources.stereo import HALF
 from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.staleness import FUTURE_NS
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.desks import RobotDesk
 from pipelines.hand.hand_topics import JoystickOrders, RobotOrders, unpack_status
 from pipelines.hand.haptic_loop import Cycle
 from pipelines.hand.haptics import RobotEnd
+from pipelines.hand.robot_commands import RobotCommands
 from pipelines.media.following import Choice
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import RobotStatus
@@ -33,7 +33,7 @@ from pipelines.session.topology import (
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import NO_PICTURE, PageDevice
 from telepresence.haptics.envelope import Hold, SafetyLimits
-from telepresence.haptics.robot import RobotFacts
+from telepresence.haptics.robot import RobotCapabilities
 from telepresence.tasks.definitions import ControlMode
 
 
@@ -132,19 +132,19 @@ UNKNOWN_ROBOT = RobotOrders(powered=False, mode=ControlMode.TELEPRESENCE.value)
 UNKNOWN_JOYSTICK = JoystickOrders(paused="halt: it is not known what was ordered before a restart")
 
 
-def within(limits: SafetyLimits, facts: RobotFacts | None) -> SafetyLimits:
+def within(limits: SafetyLimits, capabilities: RobotCapabilities | None) -> SafetyLimits:
     """Return a setup's limits, where a user's robot has less its own."""
-    if facts is None:
+    if capabilities is None:
         return limits
-    speed_m_s = min(limits.speed_m_s, facts.speed_m_s)
+    speed_m_s = min(limits.speed_m_s, capabilities.speed_m_s)
     return replace(
         limits,
         speed_m_s=speed_m_s,
         approach_m_s=min(limits.approach_m_s, speed_m_s),
         slow_m_s=min(limits.slow_m_s, speed_m_s),
-        force_n=min(limits.force_n, facts.force_limit_n),
-        half_width_m=min(limits.half_width_m, facts.half_width_m),
-        half_height_m=min(limits.half_height_m, facts.half_height_m),
+        force_n=min(limits.force_n, capabilities.force_limit_n),
+        half_width_m=min(limits.half_width_m, capabilities.half_width_m),
+        half_height_m=min(limits.half_height_m, capabilities.half_height_m),
     )
 
 
@@ -213,15 +213,15 @@ def await_stopped(session: str, ordered_ns: int, *, stopped: bool = True) -> str
     return f"the robot has not answered for {seconds}: look at it, and take its power there"
 
 
-def keep_robot(kept: KeptOrders, desk: RobotDesk) -> Cycle:
+def keep_robot(kept: KeptOrders, service: RobotCommands) -> Cycle:
     """Return what keeps power and mode of the robot."""
-    last = desk.orders
+    last = service.orders
     # Once the disk is full, a file that exists can still be emptied.
     kept.keep(ROBOT, last)
 
     def keep(_now_ns: int) -> None:
         nonlocal last
-        orders = desk.orders
+        orders = service.orders
         if orders != last:
             last = orders
             kept.keep(ROBOT, orders)

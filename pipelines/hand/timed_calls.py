@@ -70,7 +70,7 @@ class TimedCalls:
             sleep(0.5)
             due_s = self._due_s
             if due_s and monotonic() > due_s + _DEAF_S:
-                print(f"kontur-av: {self._name}() does not return: mend it", file=sys.stderr)
+                print(f"kontur-av: {self._name}() does not return: fix it", file=sys.stderr)
                 os._exit(1)
 
 

@@ -1,14 +1,14 @@
 """One end of the link, live and simulated: gateway, slots, radio and figures. A core."""
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.link.figures import WayInFigures
-from pipelines.session.figures import ClockRow, LoopFigures
+from pipelines.link.link_metrics import WayInMetrics
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import ClockRow, LoopMetrics
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.session.training import Exercises
-from telepresence.link.figures import GatewayFigures, PeerFigures
 from telepresence.link.gateway import Gateway
+from telepresence.link.link_metrics import GatewayMetrics, PeerMetrics
 from telepresence.link.slots import GatewaySlots
 from telepresence.link.supervision.local_check import LocalCheck, self_test
 from telepresence.link.supervision.message import SupervisionTiming
@@ -23,7 +23,7 @@ class GatewayEnd:
     After either, take `next_event` until it is None, and send `poll_transmit` until it is None.
     Call `handle_time` at `poll_timeout`.
 
-    life: 1 to 65535; another value tells the peer that this end has restarted.
+    boot_id: 1 to 65535; another value tells the peer that this end has restarted.
     secret: a random number, by which the peer's answers are known; nobody else may know it.
     seed, epoch_ns: the seed and the start of the radio; the same at both ends.
     first_ns: the first slot.
@@ -37,7 +37,7 @@ class GatewayEnd:
         segment: Segment,
         probe: Probe,
         *,
-        life: int,
+        boot_id: int,
         secret: int,
         seed: int,
         epoch_ns: int,
@@ -55,7 +55,7 @@ class GatewayEnd:
             receive=receive,
             receive_flows=topology.flows(back),
             master=segment is Segment.GROUND,
-            life=life,
+            boot_id=boot_id,
             secret=secret,
             now_ns=now_ns,
             radio=setup.radio_path(transmit, seed=seed, epoch_ns=epoch_ns),
@@ -105,21 +105,21 @@ class GatewayEnd:
         self._check.handle_frames(self.slots.schedule.cycles, frames, reason, now_ns)
         self.gateway.handle_local_check(self._check.fault, now_ns)
 
-    def tell(self, now_ns: int, peer: PeerFigures | None = None) -> GatewayFigures:
+    def publish(self, now_ns: int, peer: PeerMetrics | None = None) -> GatewayMetrics:
         """Put the figures into the probe, and return the gateway's.
 
         peer: the path to the other machine.
         """
         probe, schedule = self._probe, self.slots.schedule
-        probe.tell(LoopFigures(slips=schedule.slips, cycles=schedule.cycles))
-        figures = self.gateway.report(now_ns)
-        probe.tell(figures)
-        _note_clock(probe, figures)
+        probe.publish(LoopMetrics(slips=schedule.slips, cycles=schedule.cycles))
+        metrics = self.gateway.report(now_ns)
+        probe.publish(metrics)
+        _note_clock(probe, metrics)
         if peer is not None:
-            probe.tell(peer)
+            probe.publish(peer)
         if self._radio_in is not None:
-            probe.tell(WayInFigures(radio_back=self._radio_in.report()))
-        return figures
+            probe.publish(WayInMetrics(radio_back=self._radio_in.report()))
+        return metrics
 
 
 def _timing(setup: Setup) -> SupervisionTiming:
@@ -129,7 +129,7 @@ def _timing(setup: Setup) -> SupervisionTiming:
     return SupervisionTiming(round_trip_ns=max(shortest_ns, 2 * longest_delay_ns + _TURNAROUND_NS))
 
 
-def _note_clock(probe: Probe, link: GatewayFigures) -> None:
+def _note_clock(probe: Probe, link: GatewayMetrics) -> None:
     """Add a row if the clock of the other machine is known."""
     clock = link.clock
     if clock is not None and clock.offset_ns is not None and clock.error_ns is not None:

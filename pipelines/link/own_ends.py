@@ -23,7 +23,7 @@ from pipelines.session.datagrams import (
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.topology import Segment, Topology
-from telepresence.link.figures import PeerFigures
+from telepresence.link.link_metrics import PeerMetrics
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ class PeerSocket:
                 self._note_refusal(error)
         return worked
 
-    def report(self) -> PeerFigures:
+    def report(self) -> PeerMetrics:
         """What is known of the path."""
         return self._path.report(self._clock_ns())
 
@@ -260,9 +260,9 @@ def _bound_address(args: argparse.Namespace, other: Address) -> str:
         why = obstacle(bind, other)
         if why is not None:
             own = reaches(other)
-            mend = "" if own is None else f"; use --apps-bind {own}"
+            fix = "" if own is None else f"; use --apps-bind {own}"
             raise ConfigError(
-                f"--apps {args.apps} cannot be reached from --apps-bind {bind}: {why}{mend}"
+                f"--apps {args.apps} cannot be reached from --apps-bind {bind}: {why}{fix}"
             )
         return bind
     if is_loopback(other[0]):

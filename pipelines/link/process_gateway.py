@@ -16,14 +16,14 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import TopicBus
-from pipelines.link.figures import (
+from pipelines.link.gateway_end import GatewayEnd
+from pipelines.link.link_metrics import (
     LINK_STATE_OCTETS,
-    SocketFigures,
+    SocketMetrics,
     link_values,
     pack_frames,
     pack_link,
 )
-from pipelines.link.gateway_end import GatewayEnd
 from pipelines.link.own_ends import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import (
     LOOPBACK,
@@ -39,8 +39,8 @@ from pipelines.session.datagrams import (
     outlet,
     receive,
 )
-from pipelines.session.figures import LatenessRow, SendingRow
 from pipelines.session.process import Context
+from pipelines.session.session_metrics import LatenessRow, SendingRow
 from pipelines.session.topic_ends import NumberedTopic, new_exercises
 from pipelines.session.topology import (
     TELECOMMAND,
@@ -52,17 +52,17 @@ from pipelines.session.topology import (
     link_state_topic,
 )
 from pipelines.session.training import Exercises
-from telepresence.link.figures import GatewayFigures
 from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import BACKLOG_OCTETS, Gateway
+from telepresence.link.link_metrics import GatewayMetrics
 
 #: Frames of this time are one sample.
 _BATCH_NS: Final = 20 * NS_PER_MS
 #: Figures are made, and readers looked for, once in this many batches.
 _SELDOM: Final = 5
 #: Room for most samples; a topic makes more for a larger one.
-_FIGURES_OCTETS, _FRAMES_OCTETS = 4 << 10, 16 << 10
+_METRICS_OCTETS, _FRAMES_OCTETS = 4 << 10, 16 << 10
 
 
 class LinkTopics:
@@ -77,7 +77,7 @@ class LinkTopics:
         self.due_ns = 0
         self._gateway = gateway
         out, back = topology.link(segment.transmits), topology.link(segment.transmits.opposite)
-        self._figures = NumberedTopic(bus, gateway_topic(segment), max_octets=_FIGURES_OCTETS)
+        self._metrics = NumberedTopic(bus, gateway_topic(segment), max_octets=_METRICS_OCTETS)
         self._sent = NumberedTopic(bus, out.sent_frames_topic, max_octets=_FRAMES_OCTETS)
         self._received = NumberedTopic(bus, back.received_frames_topic, max_octets=_FRAMES_OCTETS)
         self._state = NumberedTopic(bus, link_state_topic(segment), max_octets=LINK_STATE_OCTETS)
@@ -98,13 +98,13 @@ class LinkTopics:
             return
         gateway.frames_sent = _kept(gateway.frames_sent, self._sent)
         gateway.frames_received = _kept(gateway.frames_received, self._received)
-        if self._figures.has_readers():
-            figures = msgspec.msgpack.encode(gateway.report(now_ns))
-            self._figures.publish_octets(figures, now_ns)
+        if self._metrics.has_readers():
+            metrics = msgspec.msgpack.encode(gateway.report(now_ns))
+            self._metrics.publish_octets(metrics, now_ns)
 
-    def handle_figures(self, figures: GatewayFigures, now_ns: int) -> None:
+    def handle_metrics(self, metrics: GatewayMetrics, now_ns: int) -> None:
         """Publish for telemetry what was counted for the report anyway, twice a second."""
-        self._state.publish_octets(pack_link(link_values(figures)), now_ns)
+        self._state.publish_octets(pack_link(link_values(metrics)), now_ns)
 
 
 def _kept(
@@ -116,7 +116,7 @@ def _kept(
 
 
 class GatewayPorts:
-    """The sockets of one end, with counts of strangers' datagrams.
+    """The sockets of one end, with counts of unknown senders' datagrams.
 
     session: whose own processes alone use the channels, but for maintenance; None: any program of
     the host.
@@ -183,7 +183,7 @@ class GatewayPorts:
             flow.name: exit_to(flow.name, topology.exit_port(flow.name))
             for flow in gateway.receiver.flows
         }
-        self._radio_strangers = 0
+        self._radio_unknown_senders = 0
         self._flow_by_fd = {inlet.udp.fileno(): name for name, inlet in self._entries.items()}
         flow_ports = select.epoll()
         for fd in self._flow_by_fd:
@@ -197,7 +197,7 @@ class GatewayPorts:
     def datagrams(self, ready: list[tuple[int, int]]) -> Iterator[tuple[str, bytes | None]]:
         """Yield (flow, datagram) of the flows' ports, one of each port in turn.
 
-        ready: from `poll_flows`. A stranger's datagram is None.
+        ready: from `poll_flows`. An unknown sender's datagram is None.
         """
         flow_by_fd, entries = self._flow_by_fd, self._entries
         while ready:
@@ -206,12 +206,12 @@ class GatewayPorts:
                 if flow is not None:
                     yield flow, entries[flow].receive(MAX_PACKET_OCTETS + 1)
                 elif self._not_peer is not None:
-                    self._radio_strangers += receive(self._not_peer, 1) is not None
+                    self._radio_unknown_senders += receive(self._not_peer, 1) is not None
                     yield "radio", None
             ready = self.poll_flows(0)
 
     def samples(self) -> Iterable[bytes | None]:
-        """Return the datagrams of the haptic port; a stranger's is None."""
+        """Return the datagrams of the haptic port; an unknown sender's is None."""
         sample = self._fetch_haptic(self._haptic_octets)
         # Most slots have exactly one.
         if sample is None:
@@ -223,13 +223,13 @@ class GatewayPorts:
         while self._more_haptic(0):
             yield self._fetch_haptic(self._haptic_octets)
 
-    def strangers(self) -> dict[str, int]:
-        """Return the number of strangers' datagrams by port, if there were any.
+    def unknown_senders(self) -> dict[str, int]:
+        """Return the number of unknown senders' datagrams by port, if there were any.
 
         A port is named by what it receives: "radio", "haptic", or the name of a flow.
         """
-        counts = {"radio": self._radio_strangers, "haptic": self._haptic.strangers}
-        counts |= {name: inlet.strangers for name, inlet in self._entries.items()}
+        counts = {"radio": self._radio_unknown_senders, "haptic": self._haptic.unknown_senders}
+        counts |= {name: inlet.unknown_senders for name, inlet in self._entries.items()}
         return {name: count for name, count in sorted(counts.items()) if count}
 
 
@@ -242,13 +242,13 @@ def run_gateway(
     segment: Segment,
     addresses: EndAddresses = _ON_THIS_MACHINE,
     peer: PeerPlan | None = None,
-    tell_backlog: bool = True,
+    publish_backlog: bool = True,
     radio_after_ns: int = 0,
 ) -> None:
     """Bind the flows' ports, and exchange one frame a slot with the other segment.
 
     peer: how to reach the other segment on another machine; None: it is on this one.
-    tell_backlog: tell the session through shared memory how much video waits, and what a recorder
+    publish_backlog: tell the session through shared memory how much video waits, and what a recorder
         wants to know.
     radio_after_ns: the radio's time 0, after the start of the session.
 
@@ -261,7 +261,7 @@ def run_gateway(
         topology,
         segment,
         context.probe,
-        life=1 + secrets.randbelow(0xFFFF),
+        boot_id=1 + secrets.randbelow(0xFFFF),
         secret=secrets.randbits(128),
         seed=context.seed,
         epoch_ns=context.started_ns + radio_after_ns,
@@ -274,11 +274,11 @@ def run_gateway(
     if peer is not None:
         core = make_path(peer, end.gateway.receiver.profile, clock.now_ns())
         path = PeerSocket(core, peer.bind, clock.now_ns)
-    session = context.session if tell_backlog else None
+    session = context.session if publish_backlog else None
     ports = GatewayPorts(topology, segment, end.gateway, addresses, path, session)
     loop = _GatewayLoop(context, end, ports, path)
     with ExitStack() as stack:
-        if tell_backlog:
+        if publish_backlog:
             bus = stack.enter_context(context.open_bus())
             backlog_topic = topology.link(segment.transmits).backlog_topic
             loop.backlogs = NumberedTopic(bus, backlog_topic, max_octets=BACKLOG_OCTETS)
@@ -308,7 +308,7 @@ class _GatewayLoop:
         # Lists, because an array checks the type of each number.
         self._lateness: list[int] = []
         self._sending: list[int] = []
-        context.on_flush(self._tell)
+        context.on_flush(self._publish)
 
     def run(self) -> None:
         # Looked up once: what follows runs a thousand times a second.
@@ -349,7 +349,7 @@ class _GatewayLoop:
         self._end.handle_frame(frame, now_ns)
         self._deliver()
         slots = self._slots
-        if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=True):
+        if now_ns >= slots.metrics_ns and slots.poll_metrics(now_ns, heard=True):
             self._context.tick(now_ns)
 
     def _deliver(self) -> None:
@@ -382,7 +382,7 @@ class _GatewayLoop:
             return
         if self.backlogs is not None and (backlog := slots.poll_backlog()) is not None:
             self.backlogs.publish_octets(backlog.pack(), now_ns)
-        if now_ns >= slots.figures_ns and slots.poll_figures(now_ns, heard=False):
+        if now_ns >= slots.metrics_ns and slots.poll_metrics(now_ns, heard=False):
             self._context.tick(now_ns)
         # On one machine the peer's slot is at the same time, so its frame is most often here by
         # now. To read in vain costs less than to ask.
@@ -392,15 +392,15 @@ class _GatewayLoop:
             if self.exercises is not None and (found := self.exercises()) is not None:
                 self._end.handle_exercises(found, now_ns)
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         probe, now_ns = self._context.probe, self._clock_ns()
         for kind, instants in ((LatenessRow, self._lateness), (SendingRow, self._sending)):
             probe.series(kind).extend_column(instants)
             instants.clear()
         ports = self._ports
         refused = ports.to_peer.failed
-        probe.tell(SocketFigures(unsent=refused, strangers=ports.strangers()))
+        probe.publish(SocketMetrics(unsent=refused, unknown_senders=ports.unknown_senders()))
         self._end.handle_refused(refused, ports.to_peer.why, now_ns)
-        figures = self._end.tell(now_ns, None if self._path is None else self._path.report())
+        metrics = self._end.publish(now_ns, None if self._path is None else self._path.report())
         if self.topics is not None:
-            self.topics.handle_figures(figures, now_ns)
+            self.topics.handle_metrics(metrics, now_ns)

@@ -50,7 +50,7 @@ class CapGain:
         #: was any.
         self._higher: int | None = None
         self._higher_since_ns = self._above_since_ns = 0
-        self._patience_ns = STEADY_NS
+        self._timeout_ns = STEADY_NS
         self._raised_ns = 0
         self._told_ns: int | None = None
 
@@ -67,8 +67,8 @@ class CapGain:
             self._higher = None
             if step < self._step:
                 lasted = now_ns - self._raised_ns >= LASTED_NS
-                longer_ns = min(2 * self._patience_ns, MOST_STEADY_NS)
-                self._patience_ns = STEADY_NS if lasted else longer_ns
+                longer_ns = min(2 * self._timeout_ns, MOST_STEADY_NS)
+                self._timeout_ns = STEADY_NS if lasted else longer_ns
                 self._take(step)
                 return True
             return False
@@ -79,7 +79,7 @@ class CapGain:
         if self._higher is None or (rising and step > self._higher):
             self._higher, self._higher_since_ns = step, now_ns
         self._higher = min(self._higher, step)
-        if now_ns - self._higher_since_ns < (STEADY_NS if at_once else self._patience_ns):
+        if now_ns - self._higher_since_ns < (STEADY_NS if at_once else self._timeout_ns):
             return False
         self._raised_ns = now_ns
         self._take(self._higher)

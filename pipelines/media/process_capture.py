@@ -8,10 +8,10 @@ from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, PageVideo
 from kontur_av.sources.stereo import HALF, StereoPairer
 from kontur_av.topics.bus import Lease, Reader, TopicBus
-from pipelines.media.figures import StereoFigures
 from pipelines.media.marking import StereoMerger
+from pipelines.media.media_metrics import StereoMetrics
 from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS, VideoStream
 from pipelines.session.topic_ends import new_exercises, newest_state
 from pipelines.session.topology import HALVES_TOPIC, MISSION_LEDS_TOPIC, TRAINER_TOPIC, InputRow
@@ -27,7 +27,7 @@ def run_stereo(context: Context) -> None:
     pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
     merger = StereoMerger()
     context.on_flush(
-        lambda: context.probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))
+        lambda: context.probe.publish(StereoMetrics(paired=pairer.paired, single=pairer.single))
     )
     with context.open_bus() as bus:
         writer = bus.writer(
@@ -52,7 +52,7 @@ def run_stereo(context: Context) -> None:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             due_ns = pairer.poll_timeout()
-            waiter.wait(PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns))
+            waiter.wait(TIMEOUT_NS if due_ns is None else min(TIMEOUT_NS, due_ns - now_ns))
             for side, reader in enumerate(readers):
                 lease = reader.latest()
                 if lease is None:
@@ -133,20 +133,20 @@ class _Camera:
         self._page = bus.reader(row.page_topic) if _may_be_filled(context, row) else None
         self._takeover = Takeover.of_pictures(name)
         self._capturing = Capturing(context.probe)
-        context.on_flush(self._tell)
+        context.on_flush(self._report)
         self._name = name
         self._new_exercises = new_exercises(bus) if TRAINER_TOPIC in reads else None
         self._lost_until_ns = 0
         self._loan = self._writer.loan_picture(*self._size)
 
     def handle_next(self) -> None:
-        """Capture the next picture, or wait for it at most `PATIENCE_NS`."""
+        """Capture the next picture, or wait for it at most `TIMEOUT_NS`."""
         exercises = None if self._new_exercises is None else self._new_exercises()
         if exercises is not None:
             self._lost_until_ns = exercises.cameras_ns.get(self._name, 0)
         page, now_ns = self._page, self._clock.now_ns()
         if page is not None and _waits_for_page(self._source, self._takeover, now_ns):
-            page.wait(_patience_ns(self._takeover, now_ns, self._period_ns))
+            page.wait(_timeout_ns(self._takeover, now_ns, self._period_ns))
             self._take_from(page)
             self._read_aside()
             return
@@ -154,9 +154,9 @@ class _Camera:
             self._take_from(page)
             return
         if self._scene is not None and not self._wanted():
-            self._capture(self._scene.skip(PATIENCE_NS, self._wanted), drawn=False)
+            self._capture(self._scene.skip(TIMEOUT_NS, self._wanted), drawn=False)
         else:
-            self._capture(self._source.read(self._loan.picture, PATIENCE_NS), drawn=True)
+            self._capture(self._source.read(self._loan.picture, TIMEOUT_NS), drawn=True)
 
     def close(self) -> None:
         self._loan.give_back()
@@ -216,10 +216,10 @@ class _Camera:
             self._preview.has_readers() and self._previewing.due(self._clock.now_ns())
         )
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         source = self._source
         takeover = None if self._page is None else self._takeover
-        self._capturing.tell(source.faults, source.last_fault, takeover)
+        self._capturing.publish(source.faults, source.last_fault, takeover)
 
 
 class _Microphone:
@@ -240,17 +240,17 @@ class _Microphone:
             self._page = bus.reader(row.page_topic, depth=_BLOCKS)
         self._takeover = Takeover.of_sound(name)
         self._capturing = Capturing(context.probe)
-        context.on_flush(self._tell)
+        context.on_flush(self._report)
 
     def handle_next(self) -> None:
-        """Capture the next block, or wait for it at most `PATIENCE_NS`."""
+        """Capture the next block, or wait for it at most `TIMEOUT_NS`."""
         page, now_ns = self._page, self._clock.now_ns()
         if page is not None and _waits_for_page(self._source, self._takeover, now_ns):
-            page.wait(_patience_ns(self._takeover, now_ns, BLOCK_NS))
+            page.wait(_timeout_ns(self._takeover, now_ns, BLOCK_NS))
             self._take_from(page)
             self._read_aside()
             return
-        frame = self._source.read(PATIENCE_NS)
+        frame = self._source.read(TIMEOUT_NS)
         if frame is not None:
             stamp = self._takeover.handle_own(frame.stamp, self._clock.now_ns())
             if stamp is not None:
@@ -281,10 +281,10 @@ class _Microphone:
         self._writer.publish_octets(samples, stamp)
         self._capturing.handle_captured(stamp)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         source = self._source
         takeover = None if self._page is None else self._takeover
-        self._capturing.tell(source.faults, source.last_fault, takeover)
+        self._capturing.publish(source.faults, source.last_fault, takeover)
 
 
 def _may_be_filled(context: Context, row: InputRow) -> bool:
@@ -298,13 +298,13 @@ def _waits_for_page(source: object, takeover: Takeover, now_ns: int) -> bool:
     return takeover.live(now_ns) or isinstance(source, PageVideo | PageAudio)
 
 
-def _patience_ns(takeover: Takeover, now_ns: int, period_ns: int) -> int:
+def _timeout_ns(takeover: Takeover, now_ns: int, period_ns: int) -> int:
     """How long to wait for a page.
 
     While one is live, one period: the own source must be read aside as often as it captures.
     """
     until_ns = takeover.poll_timeout()
-    return PATIENCE_NS if until_ns is None else max(0, min(period_ns, until_ns - now_ns))
+    return TIMEOUT_NS if until_ns is None else max(0, min(period_ns, until_ns - now_ns))
 
 
 def _octets(width: int, height: int) -> int:

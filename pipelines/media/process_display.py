@@ -15,10 +15,10 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
 from kontur_av.streams.lipsync import LAG
 from kontur_av.topics.bus import Lease, TopicBus
-from pipelines.media.figures import SnapshotFigures
 from pipelines.media.marking import mark_stale
+from pipelines.media.media_metrics import SnapshotMetrics
 from pipelines.media.showing import OPERATORS, Showing, SnapshotSchedule, Watching
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import displayed_topic, received_topic
 
@@ -32,7 +32,7 @@ def run_snapshots(context: Context) -> None:
     )
     written = failed = 0
     context.on_flush(
-        lambda: probe.tell(SnapshotFigures(snapshots=written, snapshots_failed=failed))
+        lambda: probe.publish(SnapshotMetrics(snapshots=written, snapshots_failed=failed))
     )
     with context.open_bus() as bus:
         while not context.stopping:
@@ -53,7 +53,7 @@ def run_snapshots(context: Context) -> None:
                         written += kept
                         failed += not kept
                 reader.close()
-            clock.sleep_until_ns(min(schedule.poll_timeout(), clock.now_ns() + PATIENCE_NS))
+            clock.sleep_until_ns(min(schedule.poll_timeout(), clock.now_ns() + TIMEOUT_NS))
 
 
 def _write(directory: Path, name: str, picture: I420, *, halves: bool) -> list[bool]:
@@ -112,7 +112,7 @@ def run_display(
     clock = context.clock
     showing = Showing(context.setup, streams, context.probe)
     watching, watched = Watching(context.probe), {stream.name for stream in streams} & OPERATORS
-    context.on_flush(lambda: showing.tell(clock.now_ns()))
+    context.on_flush(lambda: showing.publish(clock.now_ns()))
     with context.open_bus() as bus:
         readers = [
             bus.reader(
@@ -132,7 +132,7 @@ def run_display(
             now_ns = clock.now_ns()
             context.tick(now_ns)
             due_ns = showing.poll_timeout()
-            wait_ns = PATIENCE_NS if due_ns is None else min(PATIENCE_NS, due_ns - now_ns)
+            wait_ns = TIMEOUT_NS if due_ns is None else min(TIMEOUT_NS, due_ns - now_ns)
             waiter.wait(max(0, wait_ns))
             for stream, reader in zip(streams, readers, strict=True):
                 picture = pictures.get(stream.name)

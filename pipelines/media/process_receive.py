@@ -13,11 +13,11 @@ from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.session_files import remember, session_root
 from pipelines.media.coded_topics import ReceivedTopics
-from pipelines.media.stream_figures import note_arrivals, voice_receiver
+from pipelines.media.stream_metrics import note_arrivals, voice_receiver
 from pipelines.media.video_ends import VideoReceiveEnd
 from pipelines.session.datagrams import receive
-from pipelines.session.figures import DecodedRow
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.session_metrics import DecodedRow
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topic_ends import SampleTopic
 
@@ -52,9 +52,9 @@ class Incoming:
 
     def wait(self, due_ns: int | None) -> None:
         """Wait for datagrams, until `due_ns` at the latest, and pass them to the receiver."""
-        wait_ns = PATIENCE_NS
+        wait_ns = TIMEOUT_NS
         if due_ns is not None:
-            wait_ns = min(PATIENCE_NS, max(0, due_ns - self._clock.now_ns()))
+            wait_ns = min(TIMEOUT_NS, max(0, due_ns - self._clock.now_ns()))
         ready = select.select((self._rtp, self._rtcp), (), (), wait_ns / NS_PER_S)[0]
         # Each datagram has its own stamp: one that comes during this loop must not seem to arrive
         # before it was sent. Reports are first, because the first of them dates the first picture.
@@ -77,7 +77,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
         stream, probe, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
     )
     decoder = VideoDecoder(stream.codec, size=(stream.width, stream.height))
-    context.on_flush(end.tell)
+    context.on_flush(end.publish)
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, end)
         to_sender = context.sender(context.topology.entry_port(row.feedback))
@@ -112,7 +112,7 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
     clock, probe = context.clock, context.probe
     receiver = voice_receiver(context.topology, stream, wall_offset_ns=clock.wall_offset_ns)
     player = VoicePlayer()
-    context.on_flush(lambda: probe.tell(receiver.counts))
+    context.on_flush(lambda: probe.publish(receiver.counts))
     with context.open_bus() as bus:
         incoming = Incoming(context, stream, receiver)
         writer = bus.writer(

@@ -12,7 +12,7 @@ from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_oft
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.following import CONFIRMED_OCTETS, Choice, pack_confirmed
-from pipelines.media.stream_figures import Outgoing, tell_sender, voice_sender
+from pipelines.media.stream_metrics import Outgoing, publish_sender, voice_sender
 from pipelines.media.video_ends import VideoSendEnd
 from pipelines.session.datagrams import receive
 from pipelines.session.process import Context, wait_ns
@@ -49,7 +49,7 @@ class VideoOutlet:
             follows=follows,
             release=Lease.release,
         )
-        context.on_flush(self.end.tell)
+        context.on_flush(self.end.publish)
         self.feedback = context.listen_media(context.topology.exit_port(row.feedback))
         self.backlogs = bus.reader(row.backlog_topic)
         self.sent = SentTopic(bus, row.name, row.sent_topic)
@@ -149,7 +149,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
     )
     encoder = OpusEncoder(bitrate_bps=sender.bitrate_bps)
     outgoing = Outgoing(sender, probe, *to_gateway(context, stream.name))
-    context.on_flush(lambda: tell_sender(probe, sender))
+    context.on_flush(lambda: publish_sender(probe, sender))
     with context.open_bus() as bus:
         reader = bus.reader(topic, depth=8)
         packets = SampleTopic(bus, context.topology.media(stream.name).sent_topic)

@@ -1,12 +1,12 @@
 """The reports of `kontur-av send` and `kontur-av receive`."""
 
 from kontur_av.codecs.decoder import DecoderCounts
-from kontur_av.figures import Flat
 from kontur_av.meters import Histogram
+from kontur_av.metrics import Flat
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.session.figures import Report
+from pipelines.session.session_metrics import Report
 
 
 class Latency(Report, frozen=True, kw_only=True):

@@ -8,9 +8,9 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import BLOCK_NS, I420, CaptureStamp, Pcm, Quality
 from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
-from pipelines.media.figures import DisplayFigures
-from pipelines.session.figures import ClickRow, LightRow, ShownRow
+from pipelines.media.media_metrics import DisplayMetrics
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import ClickRow, LightRow, ShownRow
 from pipelines.session.setup.table import STEREO, Setup, VideoStream, VoiceStream
 from pipelines.session.topology import Segment, Topology, VideoRow
 
@@ -124,12 +124,12 @@ class Showing:
         row = ShownRow(stamp.rtp_timestamp, stamp.capture_ns, now_ns)
         self.probe.series(ShownRow, stream).add(row)
 
-    def tell(self, now_ns: int) -> None:
+    def publish(self, now_ns: int) -> None:
         """Put the counters into the probe. `handle_shown` was called for all up to `now_ns`."""
         for stream, staleness in self.staleness.items():
             staleness.handle_time(now_ns)
             stale, frozen, damaged = staleness.stale, staleness.frozen, staleness.damaged
-            told = DisplayFigures(
+            told = DisplayMetrics(
                 frames_displayed=self._shown[stream],
                 stale_ns=stale.total_ns,
                 stale_episodes=stale.episodes,
@@ -140,7 +140,7 @@ class Showing:
                 age_ns=staleness.age_ns(now_ns),
                 state=staleness.state(now_ns),
             )
-            self.probe.tell(told, stream)
+            self.probe.publish(told, stream)
 
 
 def _staleness(setup: Setup, stream: VideoStream | VoiceStream) -> Staleness:
@@ -169,14 +169,14 @@ class Watching:
         eye = self._eyes[stream]
         eye.handle_picture(picture, now_ns, stamp.capture_ns)
         while (light := eye.next_event()) is not None:
-            tell_light(self._probe, stream, light, _ITSELF)
+            publish_light(self._probe, stream, light, _ITSELF)
 
     def handle_sound(self, stream: str, samples: Pcm, stamp: CaptureStamp, now_ns: int) -> None:
         """A block of sound of `stream` is heard from `now_ns` on."""
         ear = self._ears[stream]
         ear.handle_block(samples, now_ns, stamp.capture_ns)
         while (click := ear.next_event()) is not None:
-            tell_click(self._probe, stream, click, _ITSELF)
+            publish_click(self._probe, stream, click, _ITSELF)
 
 
 class _Itself(dict[int, int]):
@@ -189,7 +189,7 @@ class _Itself(dict[int, int]):
 _ITSELF = _Itself()
 
 
-def tell_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int, int]) -> None:
+def publish_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int, int]) -> None:
     """Put a light into the probe. captured_ns: when the pictures were captured, by their tags."""
     try:
         capture_ns = captured_ns[light.tag]
@@ -201,7 +201,7 @@ def tell_light(probe: Probe, stream: str, light: Light, captured_ns: Mapping[int
     probe.series(LightRow, stream).add(row)
 
 
-def tell_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int, int]) -> None:
+def publish_click(probe: Probe, stream: str, click: Click, captured_ns: Mapping[int, int]) -> None:
     """Put a click into the probe. captured_ns: when the blocks were captured, by their tags."""
     try:
         capture_ns = captured_ns[click.tag]
@@ -246,7 +246,7 @@ class SnapshotSchedule:
 
     Call `handle_time` at `poll_timeout`, then drain `next_event`.
 
-    started_ns: when the session began. The instants are the same for every life of the process, so
+    started_ns: when the session began. The instants are the same for every start of the process, so
     a restart repeats none. A name ends with the second of the session at which it was due.
     """
 

@@ -4,7 +4,7 @@ from typing import Self
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import BLOCK_NS, CaptureStamp
-from pipelines.media.figures import CaptureFigures
+from pipelines.media.media_metrics import CaptureMetrics
 from pipelines.session.probe import Probe
 
 #: What a page gives is taken if it was captured no longer ago. So much later than the last of it
@@ -122,13 +122,15 @@ class Capturing:
         self._captured += 1
         self._last_ns = stamp.capture_ns
 
-    def tell(self, faults: int = 0, last_fault: str = "", takeover: Takeover | None = None) -> None:
+    def publish(
+        self, faults: int = 0, last_fault: str = "", takeover: Takeover | None = None
+    ) -> None:
         """Put the counters into the probe, with the faults that the source has survived.
 
         takeover: of the input, if pages can take it over.
         """
-        self._probe.tell(
-            CaptureFigures(
+        self._probe.publish(
+            CaptureMetrics(
                 captured=self._captured,
                 source_faults=faults,
                 from_page=None if takeover is None else takeover.from_page,

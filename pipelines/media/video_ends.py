@@ -13,10 +13,10 @@ from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.media.following import CameraFollower, Choice, tip_region
 from pipelines.media.gain import LinkedVideoSender, gain_of
-from pipelines.media.stream_figures import (
+from pipelines.media.stream_metrics import (
     Outgoing,
     note_unit,
-    tell_sender,
+    publish_sender,
     video_receiver,
     video_sender,
 )
@@ -161,9 +161,9 @@ class VideoSendEnd(Generic[PictureT]):
             return max(due_ns, now_ns + _SWITCH_NS)
         return due_ns
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Put the counters into the probe."""
-        tell_sender(self._probe, self._sender, self._linked.gain)
+        publish_sender(self._probe, self._sender, self._linked.gain)
 
 
 #: Timestamp, width, height, and whether the decoder found damage in it.
@@ -180,9 +180,7 @@ class VideoReceiveEnd:
     def __init__(
         self, stream: VideoStream, probe: Probe, *, ssrc: int, wall_offset_ns: int
     ) -> None:
-        self._receiver = receiver = video_receiver(
-            stream, ssrc=ssrc, wall_offset_ns=wall_offset_ns
-        )
+        self._receiver = receiver = video_receiver(stream, ssrc=ssrc, wall_offset_ns=wall_offset_ns)
         self._probe, self._decoder = probe, DecoderCounts()
         self.handle_packet, self.handle_report = receiver.handle_packet, receiver.handle_report
         self.handle_timeout, self.poll_timeout = receiver.handle_timeout, receiver.poll_timeout
@@ -214,7 +212,7 @@ class VideoReceiveEnd:
             for timestamp, width, height, corrupt in pictures
         ]
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Put the counters into the probe."""
-        self._probe.tell(self._receiver.counts)
-        self._probe.tell(self._decoder)
+        self._probe.publish(self._receiver.counts)
+        self._probe.publish(self._decoder)

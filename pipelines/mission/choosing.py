@@ -3,8 +3,8 @@
 from collections import deque
 from collections.abc import Sequence
 
-from pipelines.media.figures import SelectorFigures
 from pipelines.media.following import AGAIN_NS, Choice
+from pipelines.media.media_metrics import SelectorMetrics
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
 from pipelines.session.probe import Probe
 
@@ -104,6 +104,6 @@ class CameraChoice:
     def _answer(self, asked: FunctionAsked, refusal: str) -> None:
         self._requests.append(FunctionDone(CAMERA, asked.token, refusal))
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Put the counters into the probe."""
-        self._probe.tell(SelectorFigures(selected=self.selected, switches=self._switches))
+        self._probe.publish(SelectorMetrics(selected=self.selected, switches=self._switches))

@@ -37,7 +37,7 @@ _KILLED = "the task's process was restarted"
 
 
 @dataclass(frozen=True, kw_only=True)
-class TaskWish:
+class TaskOptions:
     """Which tasks there are, who selects them, and where the LED panel is (None: built in).
 
     plan: None: people select. runs: directory for one recording of each run. simulated: a simulated
@@ -89,7 +89,7 @@ class MissionGround:
     """Call `handle_tick` ten times a second.
 
     After each input carry out `poll_order`'s orders, send `poll_message`'s messages, and keep
-    `memory`. A new life that is given the memory of a run ends it as aborted.
+    `memory`. A new start that is given the memory of a run ends it as aborted.
 
     plan: what is selected, and when; None: people do that.
     two_hands: the robot's hand can meet that of the partner's arm.
@@ -134,7 +134,7 @@ class MissionGround:
 
     @property
     def memory(self) -> MissionMemory:
-        """What a next life needs."""
+        """What a next start needs."""
         run = self._run
         return MissionMemory(
             next_run=self._next_run,
@@ -276,12 +276,12 @@ class MissionGround:
         self._runs.append(RunShown(run.task, run.run, run.result.value, run.reason, seconds, score))
 
     def switch_off(self, now_ns: int) -> None:
-        """End what an earlier life may have been doing; also where its memory was lost."""
+        """End what an earlier start may have been doing; also where its memory was lost."""
         self._orders.extend((PowerRobot(False), Record(False)))
         self.leds.show(DARK, now_ns)
 
     def _end_earlier(self, memory: MissionMemory, now_ns: int) -> None:
-        """A run of an earlier life: whatever it was doing is switched off."""
+        """A run of an earlier start: whatever it was doing is switched off."""
         run = TaskRun(
             task=memory.task,
             run=memory.run,

@@ -10,7 +10,7 @@ from dataclasses import asdict
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.hand.hand_topics import unpack_status
-from pipelines.link.figures import CONNECTED, unpack_link
+from pipelines.link.link_metrics import CONNECTED, unpack_link
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import Address
@@ -28,7 +28,7 @@ from pipelines.session.topology import (
     leds_port,
     link_state_topic,
 )
-from pipelines.session.training import TRAINER_DESK, Trainer, TrainerReach
+from pipelines.session.training import TRAINER_SOCKET, Trainer, TrainerReach
 from telepresence.haptics.device.states import JoystickState
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import STATE_OCTETS, LedPanel
@@ -70,7 +70,7 @@ def _receive(udp: socket.socket) -> tuple[bytes, Address] | None:
 
 _TICK_NS = 50 * NS_PER_MS
 #: The panel's parameters are told once in this many ticks.
-_TELL_EVERY = 20
+_PUBLISH_EVERY = 20
 _STATES = 8
 
 
@@ -117,8 +117,8 @@ def run_panel(context: Context) -> None:
                 dead_man=status is not None and status.dead_man,
             )
             writer.publish(shown, now_ns)
-            if ticks % _TELL_EVERY == 0:
-                client.tell({"mode": view.mode.value, "run": view.run})
+            if ticks % _PUBLISH_EVERY == 0:
+                client.publish({"mode": view.mode.value, "run": view.run})
             ticks += 1
             context.tick(now_ns)
             clock.sleep_until_ns(now_ns + _TICK_NS)
@@ -130,7 +130,7 @@ _OCTETS = 4096
 def run_trainer(context: Context) -> None:
     """Take requests, and publish what lasts."""
     trainer = Trainer(context.probe, TrainerReach.of(context.topology))
-    context.on_flush(trainer.tell)
+    context.on_flush(trainer.publish)
     with context.open_bus() as bus:
         writer = NumberedTopic(bus, TRAINER_TOPIC, max_octets=_OCTETS)
 
@@ -138,4 +138,4 @@ def run_trainer(context: Context) -> None:
             if (exercises := trainer.poll_exercises(now_ns)) is not None:
                 writer.publish_octets(exercises.pack(), now_ns)
 
-        serve_terminals(context, TRAINER_DESK, trainer.desk, publish)
+        serve_terminals(context, TRAINER_SOCKET, trainer.service, publish)

@@ -1,7 +1,7 @@
 """The process of experiment and TOP kernel on the ground. `MissionGround` decides.
 
 Each run of a task may have a recording of its own, made by the session's recorder. Killing the
-process leaves the robot controller running. Its next life ends the run as aborted, and
+process leaves the robot controller running. Its next start ends the run as aborted, and
 switches the robot off.
 """
 
@@ -17,14 +17,14 @@ import msgspec
 from kontur_av.clock import NS_PER_MS
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root, remember, session_root
-from pipelines.link.figures import CONNECTED, unpack_link
+from pipelines.link.link_metrics import CONNECTED, unpack_link
 from pipelines.media.following import Choice
-from pipelines.mission.figures import TaskFigures
-from pipelines.mission.mission import MissionGround, MissionMemory, Seen, TaskWish, robot_order
+from pipelines.mission.mission import MissionGround, MissionMemory, Seen, TaskOptions, robot_order
+from pipelines.mission.mission_metrics import TaskMetrics
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import LOOPBACK, receive
-from pipelines.session.mission_messages import CameraWish, RobotStatus
+from pipelines.session.mission_messages import CameraRequest, RobotStatus
 from pipelines.session.process import Context
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
 from pipelines.session.terminal_lines import (
@@ -32,7 +32,7 @@ from pipelines.session.terminal_lines import (
     STATE,
     STOP,
     RecordAnswer,
-    RecordingWish,
+    RecordingOptions,
     RecordRequest,
 )
 from pipelines.session.terminals import RecorderLink
@@ -62,36 +62,38 @@ from telepresence.world import WorldState
 _SILENT_NS = 500 * NS_PER_MS
 #: Between two ticks messages and datagrams are handled.
 _STEP_NS = 20 * NS_PER_MS
-_TELL_EVERY = 10
-_OFF = RobotStatus(life=0, powered=False, mode=ControlMode.POSITION, x_m=0.0, y_m=0.0, push_n=0.0)
+_PUBLISH_EVERY = 10
+_OFF = RobotStatus(
+    boot_id=0, powered=False, mode=ControlMode.POSITION, x_m=0.0, y_m=0.0, push_n=0.0
+)
 
 
-def run_tasks(context: Context, wish: TaskWish | None = None) -> None:
-    """Execute tasks. wish: None: the built-in ones, which people select."""
+def run_tasks(context: Context, options: TaskOptions | None = None) -> None:
+    """Execute tasks. options: None: the built-in ones, which people select."""
     with context.open_bus() as bus:
-        _Tasks(context, bus, wish or TaskWish(catalogue=built_in_tasks())).run()
+        _Tasks(context, bus, options or TaskOptions(catalogue=built_in_tasks())).run()
 
 
 class _Tasks:
     """The process's shell."""
 
-    def __init__(self, context: Context, bus: TopicBus, wish: TaskWish) -> None:
+    def __init__(self, context: Context, bus: TopicBus, options: TaskOptions) -> None:
         self._context, self._clock = context, context.clock
         now_ns = self._clock.now_ns()
         make_session_root(context.session)
         self._remembered = session_root(context.session) / "tasks"
         self._kept = _read(self._remembered)
         self._ground = MissionGround(
-            wish.catalogue,
-            wish.plan,
+            options.catalogue,
+            options.plan,
             now_ns=now_ns,
             memory=self._kept,
             first_number=now_ns // (100 * NS_PER_MS) % (1 << 32),
-            two_hands=wish.two_hands,
+            two_hands=options.two_hands,
         )
         if self._kept is None and self._remembered.exists():
             self._ground.switch_off(now_ns)
-        self._other_robot = bus.reader(SECOND_ROBOT_TOPIC) if wish.two_hands else None
+        self._other_robot = bus.reader(SECOND_ROBOT_TOPIC) if options.two_hands else None
         self._other: WorldState | None = None
         self._client = TmtcClient(bus, context.session, Segment.GROUND, TASKS, first_number=now_ns)
         self._status = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
@@ -104,12 +106,12 @@ class _Tasks:
         self._cameras = MissionWriter(bus, MISSION_CAMERA_TOPIC)
         self._shown = MissionWriter(bus, MISSION_GROUND_TOPIC, wake=True)
         self._udp = context.listen(0)
-        self._leds = wish.leds or (LOOPBACK, leds_port(context.setup))
-        self._files = RunFiles(context.session, wish.runs)
+        self._leds = options.leds or (LOOPBACK, leds_port(context.setup))
+        self._files = RunFiles(context.session, options.runs)
         self._number = now_ns
-        self._camera, self._signal, self._life = "", False, 0
+        self._camera, self._signal, self._boot_id = "", False, 0
         self._link = LinkMeanwhile(0, 0, context.setup.radio_profile.longest_delay_ns)
-        context.on_flush(self._tell)
+        context.on_flush(self._publish)
 
     def run(self) -> None:
         """Work until the process shall end."""
@@ -122,8 +124,8 @@ class _Tasks:
                 self._ground.handle_tick(self._seen(now_ns), now_ns)
                 if ticks % 2 == 0:
                     self._shown.publish(self._ground.shown, now_ns)
-                if ticks % _TELL_EVERY == 0:
-                    self._client.tell(self._ground.telemetry)
+                if ticks % _PUBLISH_EVERY == 0:
+                    self._client.publish(self._ground.telemetry)
                 ticks += 1
             self._carry_out(now_ns)
             self._context.tick(now_ns)
@@ -154,9 +156,9 @@ class _Tasks:
         robot = self._status.newest or _OFF
         if now_ns - self._status.newest_ns > _SILENT_NS:
             robot = msgspec.structs.replace(robot, fault=robot.fault or "it does not answer")
-        elif self._life and robot.life != self._life:
+        elif self._boot_id and robot.boot_id != self._boot_id:
             robot = msgspec.structs.replace(robot, fault=robot.fault or "it was restarted")
-        self._life = robot.life
+        self._boot_id = robot.boot_id
         return Seen(
             robot=robot,
             camera=self._camera,
@@ -187,7 +189,7 @@ class _Tasks:
         while (order := ground.poll_order()) is not None:
             self._number = max(now_ns, self._number + 1)
             if isinstance(order, ChooseCamera):
-                self._cameras.publish(CameraWish(self._number, order.name), now_ns)
+                self._cameras.publish(CameraRequest(self._number, order.name), now_ns)
             elif isinstance(order, Record):
                 status = ground.experiment.status
                 self._files.record(on=order.on, task=status.task, run=status.run)
@@ -199,11 +201,11 @@ class _Tasks:
             with suppress(OSError):
                 self._udp.sendto(octets, self._leds)
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         rows, files, probe = self._ground.journal.newest(KEPT), self._files, self._context.probe
         runs = {row.run: row for row in rows}
         why = files.why or None
-        probe.tell(TaskFigures(unrecorded=files.unrecorded, unrecorded_why=why, runs=runs))
+        probe.publish(TaskMetrics(unrecorded=files.unrecorded, unrecorded_why=why, runs=runs))
 
 
 def _read(path: Path) -> MissionMemory | None:
@@ -224,7 +226,7 @@ class RunFiles:
     """Asks the recorder in a thread, because it may take seconds to end a file.
 
     directory: of the files, `run-003-aiming.mcap`; None: no files, and `recording` is what was
-    asked for. What an earlier life has left open is ended. Recordings of others are left alone.
+    asked for. What an earlier start has left open is ended. Recordings of others are left alone.
 
     recording: whether a run is recorded. unrecorded: runs without a file; why: of the newest one.
     """
@@ -251,8 +253,8 @@ class RunFiles:
             self.recording = on
         elif on:
             file = self._directory / f"run-{run:03d}-{task}.mcap"
-            wish = RecordingWish(file=str(file), command=f"task {task}, run {run}")
-            self._asked.put(lambda: self._begin(wish))
+            options = RecordingOptions(file=str(file), command=f"task {task}, run {run}")
+            self._asked.put(lambda: self._begin(options))
         else:
             self._asked.put(self._end)
 
@@ -268,8 +270,8 @@ class RunFiles:
         while (work := self._asked.get()) is not None:
             work()
 
-    def _begin(self, wish: RecordingWish) -> None:
-        answer = self._ask(RecordRequest(record=START, wish=wish, overwrite=True))
+    def _begin(self, options: RecordingOptions) -> None:
+        answer = self._ask(RecordRequest(record=START, options=options, overwrite=True))
         if answer is None or not answer.ok:
             self.unrecorded += 1
             self.why = _NO_ANSWER if answer is None else answer.error
@@ -285,7 +287,7 @@ class RunFiles:
             self._ask(RecordRequest(record=STOP))
 
     def _ask(self, request: RecordRequest) -> RecordAnswer | None:
-        """Return the recorder's answer; None if there is none, also not from its next life."""
+        """Return the recorder's answer; None if there is none, also not from its next start."""
         until_s = time.monotonic() + _RETURN_S
         while True:
             try:

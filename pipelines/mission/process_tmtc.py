@@ -4,7 +4,7 @@
 The selector reads no pictures. A choice is kept in a file, then published, and its telecommand is
 completed when the sender has confirmed it.
 
-`ComponentDesk` decides for a component, whose methods may block. What telecommands have set
+`ComponentService` decides for a component, whose methods may block. What telecommands have set
 outlives the process.
 """
 
@@ -19,10 +19,10 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.topics.bus import Reader, TopicBus
 from kontur_av.topics.session_files import make_session_root, remember, session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
-from pipelines.link.figures import unpack_link
+from pipelines.link.link_metrics import unpack_link
 from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
 from pipelines.mission.choosing import CameraChoice
-from pipelines.mission.component_desk import ComponentDesk
+from pipelines.mission.component_service import ComponentService
 from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import (
@@ -35,9 +35,15 @@ from pipelines.mission.tmtc_messages import (
 from pipelines.mission.tmtc_socket import TmtcSocket, send_to_tmtc, write_dictionary
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.datagrams import receive
-from pipelines.session.figures import ProcessState
-from pipelines.session.mission_messages import MISSION_OCTETS, CameraWish, RobotStatus, pack, unpack
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.mission_messages import (
+    MISSION_OCTETS,
+    CameraRequest,
+    RobotStatus,
+    pack,
+    unpack,
+)
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.session_metrics import ProcessState
 from pipelines.session.topic_ends import NumberedTopic, SampleTopic, unpack_state
 from pipelines.session.topology import (
     FOLLOWED_TOPIC,
@@ -87,7 +93,7 @@ class _PacketTopics:
         self._topics[kind, way].handle_sample(packet, now_ns)
 
 
-class TmtcDesk:
+class TmtcServer:
     """Call `handle_packet` for each datagram of the flow, and `work` at least every 100 ms.
 
     It publishes all packets. send: gives one to the radio. ask: takes functions of applications in
@@ -110,7 +116,7 @@ class TmtcDesk:
             dictionary,
             now_ns=now_ns,
             first_count=secrets.randbelow(COUNT_MODULUS),
-            life=(now_ns + clock.wall_offset_ns) // NS_PER_S,
+            boot_id=(now_ns + clock.wall_offset_ns) // NS_PER_S,
             epoch_ns=clock.wall_offset_ns,
             delay_ns=context.setup.radio_profile.longest_delay_ns,
         )
@@ -161,7 +167,7 @@ class TmtcDesk:
         make_session_root(context.session)
         write_dictionary(context.session, dictionary)
         self._requests = TmtcSocket(context.session, segment)
-        context.on_flush(lambda: self.end.tell(context.probe))
+        context.on_flush(lambda: self.end.publish(context.probe))
 
     @property
     def socket(self) -> socket:
@@ -181,7 +187,7 @@ class TmtcDesk:
                 take(octets, now_ns)
         while (request := self._requests.receive()) is not None:
             end.handle_octets(request, now_ns)
-        while (told := self._context.receive_figures()) is not None:
+        while (told := self._context.receive_metrics()) is not None:
             self._supervisor.handle_told(_STATES_TOLD.decode(told), now_ns)
         while (done := self._supervisor.next_event()) is not None:
             end.handle_request(done, now_ns)
@@ -222,28 +228,28 @@ def run_selector(context: Context) -> None:
     )
     udp = context.listen_own(topology.exit_port(TELECOMMAND))
     to_gateway = context.own_sender(topology.entry_port(TELEMETRY))
-    context.on_flush(choice.tell)
+    context.on_flush(choice.publish)
     with context.open_bus() as bus:
         writer = NumberedTopic(bus, SELECTED_TOPIC, max_octets=CHOICE_OCTETS, wake=True)
         reader = bus.reader(FOLLOWED_TOPIC)
         wished = None
         if MISSION_CAMERA_TOPIC in topology.reads(SELECTOR):
             wished = bus.reader(MISSION_CAMERA_TOPIC)
-        newest_wish = -1
+        newest_request = -1
         asked: deque[FunctionAsked] = deque()
-        desk = TmtcDesk(context, bus, Segment.GROUND, to_gateway, asked.append)
-        waiter = bus.waiter([reader], [udp.fileno(), desk.socket.fileno()])
+        service = TmtcServer(context, bus, Segment.GROUND, to_gateway, asked.append)
+        waiter = bus.waiter([reader], [udp.fileno(), service.socket.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             changed = False
             while (datagram := receive(udp)) is not None:
-                desk.handle_packet(datagram, now_ns)
+                service.handle_packet(datagram, now_ns)
             if wished is not None and (octets := wished.latest_octets()) is not None:
-                wish = unpack(CameraWish, octets)
-                if wish.number > newest_wish:
-                    newest_wish = wish.number
-                    changed |= choice.select(wish.camera, now_ns)
+                camera_request = unpack(CameraRequest, octets)
+                if camera_request.number > newest_request:
+                    newest_request = camera_request.number
+                    changed |= choice.select(camera_request.camera, now_ns)
             while asked:
                 changed |= choice.handle_asked(asked.popleft(), now_ns)
             if changed:
@@ -253,12 +259,12 @@ def run_selector(context: Context) -> None:
             if (confirmed := reader.latest_octets()) is not None:
                 choice.handle_confirmed(unpack_confirmed(confirmed))
             while (request := choice.next_event()) is not None:
-                desk.end.handle_request(request, now_ns)
-            desk.work(now_ns)
-            wait_ns = 0 if asked else min(PATIENCE_NS, choice.poll_timeout() - now_ns)
-            waiter.wait(desk.wait_ns(now_ns, max(0, wait_ns)))
+                service.end.handle_request(request, now_ns)
+            service.work(now_ns)
+            wait_ns = 0 if asked else min(TIMEOUT_NS, choice.poll_timeout() - now_ns)
+            waiter.wait(service.wait_ns(now_ns, max(0, wait_ns)))
         del waiter
-        desk.close()
+        service.close()
 
 
 def run_console(context: Context) -> None:
@@ -270,21 +276,21 @@ def run_console(context: Context) -> None:
         walls = None
         if context.setup.hand != "direct":
             walls = NumberedTopic(bus, WALL_TOPIC, max_octets=WALL_OCTETS)
-        desk = TmtcDesk(context, bus, Segment.SPACE, to_gateway)
-        waiter = bus.waiter([], [udp.fileno(), desk.socket.fileno()])
+        service = TmtcServer(context, bus, Segment.SPACE, to_gateway)
+        waiter = bus.waiter([], [udp.fileno(), service.socket.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             wall = None
             while (datagram := receive(udp)) is not None:
-                if not desk.handle_packet(datagram, now_ns) and is_wall(datagram):
+                if not service.handle_packet(datagram, now_ns) and is_wall(datagram):
                     wall = datagram
             if wall is not None and walls is not None:
                 walls.publish_octets(wall, now_ns)
-            desk.work(now_ns)
-            waiter.wait(desk.wait_ns(now_ns, PATIENCE_NS))
+            service.work(now_ns)
+            waiter.wait(service.wait_ns(now_ns, TIMEOUT_NS))
         del waiter
-        desk.close()
+        service.close()
 
 
 _DEPTH = 32
@@ -303,22 +309,22 @@ def run_component(context: Context, component: Component) -> None:
         reader = bus.reader(TMTC_TOPICS[Segment.GROUND], depth=_DEPTH)
         now_ns = clock.now_ns()
         client = f"{table.name} {now_ns}"
-        desk = ComponentDesk(source, table, now_ns=now_ns, client=client, settings=known)
-        context.on_flush(lambda: desk.tell(context.probe))
+        service = ComponentService(source, table, now_ns=now_ns, client=client, settings=known)
+        context.on_flush(lambda: service.publish(context.probe))
         waiter = bus.waiter([reader])
         while not context.stopping:
             context.tick(clock.now_ns())
             while (octets := reader.next_octets()) is not None:
-                desk.handle_news(unpack_news(octets), clock.now_ns())
-            desk.handle_time(clock.now_ns())
-            if desk.settings != known:
-                known = desk.settings
+                service.handle_news(unpack_news(octets), clock.now_ns())
+            service.handle_time(clock.now_ns())
+            if service.settings != known:
+                known = service.settings
                 remember(remembered, msgspec.json.encode(known))
             now_ns = clock.now_ns()
-            while (request := desk.poll_transmit(now_ns)) is not None:
+            while (request := service.poll_transmit(now_ns)) is not None:
                 if not send_to_tmtc(context.session, Segment.GROUND, request):
                     break
-                desk.handle_sent(request, now_ns)
-            waiter.wait(max(0, min(PATIENCE_NS, desk.poll_timeout() - now_ns)))
+                service.handle_sent(request, now_ns)
+            waiter.wait(max(0, min(TIMEOUT_NS, service.poll_timeout() - now_ns)))
         del waiter
     source.close()

@@ -15,7 +15,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.mission.choosing import CAMERA
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, RaiseEvent, SetValues
 from pipelines.mission.tmtc_messages import Values as TmtcValues
-from pipelines.session.figures import LEFT_OUT_SHARE, LoopFigures, ProcessState
+from pipelines.session.session_metrics import LEFT_OUT_SHARE, LoopMetrics, ProcessState
 from pipelines.session.session_switch import ProcessOrder
 from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Segment, Topology
 from telepresence.tmtc.pus.dictionary import (
@@ -60,7 +60,7 @@ _GAUGES = (
     _gauge("age", "u16", "s", high=_SILENT_S, text="of its newest figures, while it runs"),
 )
 _OF_LOOPS = (
-    *(_gauge(one.name, "u32") for one in fields(LoopFigures)),
+    *(_gauge(one.name, "u32") for one in fields(LoopMetrics)),
     _gauge("left_out", "u16", "%", high=100 * LEFT_OUT_SHARE, text="cycles, of the last"),
 )
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.mission.figures import TmtcFigures
+from pipelines.mission.mission_metrics import TmtcMetrics
 from pipelines.mission.tmtc_messages import (
     CommandUpdate,
     ForwardCommand,
@@ -76,7 +76,7 @@ class TmtcEnd:
     beyond that the oldest are dropped and counted.
 
     epoch_ns: Unix time minus this clock. delay_ns: the longest delay of the radio, one way.
-    first_count, life: new at each start, as `PusUser` and `K2aciEndpoint` have them.
+    first_count, boot_id: new at each start, as `PusUser` and `K2aciEndpoint` have them.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class TmtcEnd:
         *,
         now_ns: int,
         first_count: int,
-        life: int,
+        boot_id: int,
         epoch_ns: int = 0,
         delay_ns: int = 0,
     ) -> None:
@@ -103,7 +103,7 @@ class TmtcEnd:
             timeout_ns=timeout_ns,
             foreign=FOREIGN_SOURCES[segment.value],
         )
-        self._k2aci = K2aciEndpoint(life=life, timeout_ns=timeout_ns)
+        self._k2aci = K2aciEndpoint(boot_id=boot_id, timeout_ns=timeout_ns)
         own, peer = (dictionary.application(_K2ACI[one]) for one in (segment, segment.peer))
         self._node = PusNode(
             applications=list(self.applications.values()),
@@ -222,17 +222,17 @@ class TmtcEnd:
         while (said := self._k2aci.next_event()) is not None:
             if isinstance(said, Arrived):
                 kind = type(said.message).__name__
-                self._add(K2aciArrived(said.life, said.number, kind, plain_fields(said.message)))
+                self._add(K2aciArrived(said.boot_id, said.number, kind, plain_fields(said.message)))
             elif (asked := self._messages.pop(said.number, None)) is not None:
                 round_trip_ms = said.round_trip_ns / NS_PER_MS
                 self._answer(asked, K2aciUpdate(*asked, "delivered", "", round_trip_ms))
 
-    def tell(self, probe: Probe) -> None:
+    def publish(self, probe: Probe) -> None:
         """Put the counters into the probe."""
         node, user = self._node, self._user
         applications = self.applications.values()
-        probe.tell(
-            TmtcFigures(
+        probe.publish(
+            TmtcMetrics(
                 pus_sent=node.sent,
                 pus_sent_octets=node.sent_octets,
                 pus_received=node.received,

@@ -153,9 +153,9 @@ class Reported(msgspec.Struct, frozen=True, tag=True):
 
 
 class K2aciArrived(msgspec.Struct, frozen=True, tag=True):
-    """A message of the other end, once and in order. life, number: the other end's."""
+    """A message of the other end, once and in order. boot_id, number: the other end's."""
 
-    life: int
+    boot_id: int
     number: int
     kind: str
     fields: Fields

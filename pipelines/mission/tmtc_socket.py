@@ -116,7 +116,7 @@ _MOST_WAITING = 64
 class TmtcClient:
     """An application of a mission. Call `work` often.
 
-    first_number: above those of earlier lives.
+    first_number: above those of earlier starts.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class TmtcClient:
         self._waiting.handle_put(message, now_ns)
         self._transmit(now_ns)
 
-    def tell(self, values: Values) -> None:
+    def publish(self, values: Values) -> None:
         """The application's parameters have these values."""
         send_to_tmtc(self._session, self._segment, SetValues(self._application, values))
 
@@ -171,7 +171,7 @@ class TmtcClient:
 _ASK_AGAIN_NS = NS_PER_S // 2
 _TAKEN_NS = 3 * NS_PER_S
 #: That end gives a telecommand up after 30 s.
-_PATIENCE_NS = 45 * NS_PER_S
+_TIMEOUT_NS = 45 * NS_PER_S
 _LOOK_NS = NS_PER_S // 20
 #: What a telecommand asked for comes with its verification; reports may come a little later.
 _REPORTS = {"report": "housekeeping", "parameters": "parameters"}
@@ -202,7 +202,7 @@ class Sending:
             if not self._taken and now_ns >= again_ns:
                 again_ns = now_ns + _ASK_AGAIN_NS
                 send_to_tmtc(self._session, self._origin, self._request)
-            if now_ns - begun_ns > (_PATIENCE_NS if self._taken else _TAKEN_NS):
+            if now_ns - begun_ns > (_TIMEOUT_NS if self._taken else _TAKEN_NS):
                 return
             self._reader.wait(_LOOK_NS)
             while (octets := self._reader.next_octets()) is not None:

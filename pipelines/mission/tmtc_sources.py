@@ -59,7 +59,7 @@ class GatewaySource:
 class _Asked:
     """Functions that wait for their results, by the numbers of their requests.
 
-    first_number: above those of an earlier life, for example the instant at which this one began.
+    first_number: above those of an earlier start, for example the instant at which this one began.
     """
 
     def __init__(self, application: str, end: TmtcEnd, *, first_number: int) -> None:
@@ -136,7 +136,7 @@ class RobotSource:
         if known != self._known or now_ns >= self._known_ns:
             self._known, self._known_ns = known, now_ns + SAMPLE_NS
             self._end.handle_values("robot", values | _joints(status), now_ns)
-        faults = (status.life, status.faults)
+        faults = (status.boot_id, status.faults)
         if status.faults and faults != self._faults:
             self._end.handle_event("robot", "error", now_ns)
         self._faults = faults
@@ -162,7 +162,7 @@ def _error(status: RobotStatus) -> str:
 class JoystickSource:
     """Takes the state of the joystick over, and hands it the functions that telecommands ask for.
 
-    first_number: above those of an earlier life, for example the instant at which this one began.
+    first_number: above those of an earlier start, for example the instant at which this one began.
     """
 
     def __init__(self, end: TmtcEnd, *, first_number: int) -> None:
@@ -210,7 +210,7 @@ class JoystickSource:
             passed = status.test == Outcome.PASSED
             event = "test_passed" if passed else "test_failed"
             self._end.handle_event("joystick", event, now_ns)
-            if status.test_figures:
+            if status.test_metrics:
                 self._end.handle_event("joystick", "test_measured", now_ns)
         self._state = state
         self._asked.handle_answer(status.commanded, status.command_refusal, now_ns)
@@ -220,7 +220,7 @@ class JoystickSource:
         table = self._end.applications["joystick"].table
         found = {
             f"test_{name.replace(' ', '_')}": nan if value is None else value
-            for name, value in status.test_figures.items()
+            for name, value in status.test_metrics.items()
         }
         pressed = [value for name, value in found.items() if name.endswith("_let_go")]
         if pressed:

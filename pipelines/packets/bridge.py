@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
-from kontur_av.figures import Most
+from kontur_av.metrics import Most
 from pipelines.mission.tmtc_messages import CommandUpdate, ForwardCommand, TmtcNews
 from telepresence.link.bucket import TokenBucket
 from telepresence.tmtc.pus import head
@@ -28,7 +28,7 @@ from telepresence.tmtc.pus.verification import (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PacketsFigures:
+class PacketsMetrics:
     """Space packets to and from another ground system."""
 
     #: Telemetry packets of this end.
@@ -50,7 +50,7 @@ class PacketsFigures:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FrameFigures:
+class FrameMetrics:
     """Copies of the radio link's frames for another ground system."""
 
     #: Frames sent on, by direction.
@@ -125,7 +125,7 @@ class CommandEditions:
     """Tells a telecommand that is repeated from an equal one of a system that began anew.
 
     A ground system that was started again counts anew, so its telecommands may equal those of its
-    last life. One is repeated as long as its sender may not know what became of it. So it is new if
+    last start. One is repeated as long as its sender may not know what became of it. So it is new if
     each connection that sent it has the report of its end, and another one sends it. The new one
     gets the next number, its edition. By it the application tells the two apart.
 
@@ -188,7 +188,7 @@ class PacketBridge:
     A telecommand that is not allowed is answered by a failed acceptance. One beyond the rate is
     dropped and counted, without an answer. At most 16 wait for the end; beyond that they fail.
 
-    client: names this life. source: of the other system's telecommands. epoch_ns: Unix time minus
+    client: names this start. source: of the other system's telecommands. epoch_ns: Unix time minus
     this clock.
     """
 
@@ -201,7 +201,7 @@ class PacketBridge:
         source: int,
         epoch_ns: int,
     ) -> None:
-        self.figures = PacketsFigures()
+        self.metrics = PacketsMetrics()
         self._names = {apid: one.name for apid, one in dictionary.by_apid.items()}
         self._allowed, self._client, self._source = allowed, client, source
         self._epoch_ns = epoch_ns
@@ -302,13 +302,13 @@ class PacketBridge:
 
     def handle_dropped(self, count: int, waited_ns: int) -> None:
         """A peer took so many packets not in time, and one after `waited_ns`."""
-        waited_ms = max(self.figures.outside_waited_ms, round(waited_ns / NS_PER_MS, 1))
-        self.figures = replace(self.figures, outside_waited_ms=waited_ms)
+        waited_ms = max(self.metrics.outside_waited_ms, round(waited_ns / NS_PER_MS, 1))
+        self.metrics = replace(self.metrics, outside_waited_ms=waited_ms)
         self._add(outside_dropped=count)
 
     def _add(self, **counts: int) -> None:
-        now = {name: getattr(self.figures, name) + count for name, count in counts.items()}
-        self.figures = replace(self.figures, **now)
+        now = {name: getattr(self.metrics, name) + count for name, count in counts.items()}
+        self.metrics = replace(self.metrics, **now)
 
     def _refuse(self, command: Telecommand, failure: Failure, reason: str, now_ns: int) -> None:
         self._add(outside_refused=1)

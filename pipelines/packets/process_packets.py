@@ -17,13 +17,13 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.topics.bus import Reader
-from pipelines.link.figures import unpack_frames
+from pipelines.link.link_metrics import unpack_frames
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc_messages import unpack_news
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.packets.bridge import (
     AllowedCommands,
-    FrameFigures,
+    FrameMetrics,
     PacketBridge,
     PacketSplitter,
     PeerQueue,
@@ -39,9 +39,9 @@ from pipelines.session.datagrams import (
     outlet,
     resolve,
 )
-from pipelines.session.figures import SampleNumbers
 from pipelines.session.option_rows import add_options
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.session_metrics import SampleNumbers
 from pipelines.session.setup.segments import Direction
 from pipelines.session.topology import (
     FRAMES,
@@ -87,7 +87,7 @@ class PacketsPlan:
     allowed: AllowedCommands
 
 
-class PacketsWish(NamedTuple):
+class PacketsOptions(NamedTuple):
     """address: by UDP of the other system, else of the session."""
 
     address: Address
@@ -122,28 +122,28 @@ def checked_packets(
 
 @contextmanager
 def _bound(
-    wish: PacketsWish, dictionary: Dictionary, allowed: AllowedCommands, *, quiet: bool
+    options: PacketsOptions, dictionary: Dictionary, allowed: AllowedCommands, *, quiet: bool
 ) -> Iterator[PacketsPlan]:
-    host, port = wish.address
-    if wish.udp:
+    host, port = options.address
+    if options.udp:
         local = "127.0.0.1" if is_loopback(host) else ""
         kind, address = socket.SOCK_DGRAM, (local, port + 1)
         said = f"packets udp to {host}:{port}, telecommands at port {port + 1}"
     else:
-        kind, address = socket.SOCK_STREAM, wish.address
+        kind, address = socket.SOCK_STREAM, options.address
         said = f"packets tcp {host}:{port}"
     where = f"{_OPTION}: port {address[1]} of {address[0] or 'this machine'}:"
     with bound_socket(kind, address, where) as bound:
         if not quiet:
             say(said)
-        peer = wish.address if wish.udp else None
+        peer = options.address if options.udp else None
         yield PacketsPlan(socket=bound, peer=peer, dictionary=dictionary, allowed=allowed)
 
 
-def parse_packets(text: str) -> PacketsWish:
+def parse_packets(text: str) -> PacketsOptions:
     udp = text.startswith("udp:")
     fits = "tcp:[HOST:]PORT or udp:HOST:PORT"
-    return PacketsWish(_address(text, _OPTION, _UDP if udp else _TCP, fits), udp)
+    return PacketsOptions(_address(text, _OPTION, _UDP if udp else _TCP, fits), udp)
 
 
 def parse_frames(text: str | None) -> Address | None:
@@ -171,7 +171,7 @@ def run_packets(context: Context, plan: PacketsPlan) -> None:
         source=FOREIGN_SOURCES[segment.value],
         epoch_ns=clock.wall_offset_ns,
     )
-    context.on_flush(lambda: context.probe.tell(bridge.figures))
+    context.on_flush(lambda: context.probe.publish(bridge.metrics))
     peers = _Datagrams(plan.socket, plan.peer) if plan.peer is not None else _Streams(plan.socket)
     with context.open_bus() as bus:
         packets = [
@@ -202,7 +202,7 @@ def run_packets(context: Context, plan: PacketsPlan) -> None:
                 descriptors = peers.descriptors
                 del waiter
                 waiter = bus.waiter([*packets, news], descriptors)
-            waiter.wait(PATIENCE_NS)
+            waiter.wait(TIMEOUT_NS)
         del waiter
     peers.close()
 
@@ -359,8 +359,8 @@ def run_frames(context: Context, address: Address) -> None:
         }
 
         def fill() -> None:
-            context.probe.tell(
-                FrameFigures(
+            context.probe.publish(
+                FrameMetrics(
                     copied={way.value: one.copied for way, one in ways.items()},
                     copies_missed=sum(one.missed for one in ways.values()),
                     copies_unsent=sum(one.to.failed for one in ways.values()),

@@ -17,7 +17,7 @@ from kontur_av.meters import RateMeter
 from kontur_av.sources import AudioSource, VideoSource
 from pipelines.partner.decisions import PicturePlan, RateFollower
 
-_PATIENCE_NS = 50 * NS_PER_MS
+_TIMEOUT_NS = 50 * NS_PER_MS
 _LAST_S = 2.0
 
 
@@ -64,10 +64,10 @@ class CodedSources(Closing):
         for thread in self._threads:
             thread.join(_LAST_S)
 
-    def handle_wish(self, wish_bps: int | None) -> None:
+    def handle_request(self, requested_bps: int | None) -> None:
         """Follow what the partners can take (REMB). Call it a few times a second."""
         now_ns = self._clock.now_ns()
-        self.rate.handle_wish(wish_bps, self.sent.last_bps(now_ns), now_ns)
+        self.rate.handle_request(requested_bps, self.sent.last_bps(now_ns), now_ns)
 
     def _count_and_send(self, unit: AccessUnit) -> None:
         self.sent.add(self._clock.now_ns(), len(unit.data))
@@ -91,7 +91,7 @@ class CodedSources(Closing):
         picture = empty_picture(encoder.width, encoder.height)
         answered = 0
         while not self._ended.is_set():
-            stamp = source.read(picture, _PATIENCE_NS)
+            stamp = source.read(picture, _TIMEOUT_NS)
             if stamp is None or not self.wanted:
                 continue
             if self._keys != answered:
@@ -109,7 +109,7 @@ class CodedSources(Closing):
 
     def _sound(self, source: Any, encoder: OpusEncoder) -> None:
         while not self._ended.is_set():
-            block = source.read(_PATIENCE_NS)
+            block = source.read(_TIMEOUT_NS)
             if block is None or not self.wanted:
                 continue
             opus = encoder.encode(block.samples)

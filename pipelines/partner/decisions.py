@@ -88,8 +88,8 @@ class Attempts:
     _restarted_ns = 0
 
 
-#: Requests of strangers that are answered in a second; further ones are turned away unread.
-_STRANGERS_A_SECOND = 10
+#: Requests of unknown senders that are answered in a second; further ones are turned away unread.
+_UNKNOWN_SENDERS_A_SECOND = 10
 #: Offers of those who have the token, too: each costs a certificate and sockets.
 _OFFERS_A_SECOND = 5
 #: Who steers tells that it is there twice a second; one that is silent for longer gives way.
@@ -104,7 +104,7 @@ class Refusal:
     words: str
 
 
-class Door:
+class Admission:
     """Admits requests with a bearer token (RFC 9725 section 4.7), within bounds.
 
     token: to watch and to send. hand_token: to steer; "": nobody steers.
@@ -117,7 +117,7 @@ class Door:
         self._token, self._hand_token = token, hand_token
         self._most_viewers = most_viewers
         self._second_ns = 0
-        self._strangers = self._offers = 0
+        self._unauthenticated = self._offers = 0
         #: Requests refused, by reason.
         self.refused: dict[str, int] = {}
 
@@ -139,9 +139,9 @@ class Door:
         if watcher or hand:
             may = "watch and send" if watcher else "steer"
             return self._refuse("token", 403, f"this token may only {may}: take the other one")
-        self._strangers += 1
-        if self._strangers > _STRANGERS_A_SECOND:
-            return self._refuse("strangers", 429, "too many requests")
+        self._unauthenticated += 1
+        if self._unauthenticated > _UNKNOWN_SENDERS_A_SECOND:
+            return self._refuse("unknown_senders", 429, "too many requests")
         return self._refuse("token", 401, "this address needs the token")
 
     def check_offer(self, *, viewers: int | None, now_ns: int) -> Refusal | None:
@@ -175,12 +175,12 @@ class Door:
     def _begin_second(self, now_ns: int) -> None:
         if now_ns - self._second_ns >= NS_PER_S:
             self._second_ns = now_ns
-            self._strangers = self._offers = 0
+            self._unauthenticated = self._offers = 0
 
 
 #: The least rate: a coarse picture is better than none.
 LEAST_BPS = 100_000
-#: A wish at or above what is sent limits nothing: receivers name at most 1.5 times what comes.
+#: A request at or above what is sent limits nothing: receivers name at most 1.5 times what comes.
 _LIMITS_BELOW = 0.95
 #: A change of rate costs a key picture, so it must be worth it, and come seldom.
 _WORTH = 0.12
@@ -207,17 +207,17 @@ class RateFollower:
         #: How often it was lowered.
         self.lowered = 0
 
-    def handle_wish(self, wish_bps: int | None, sent_bps: float, now_ns: int) -> bool:
+    def handle_request(self, requested_bps: int | None, sent_bps: float, now_ns: int) -> bool:
         """Return whether the rate changes. Call it a few times a second.
 
-        wish_bps: the lowest estimate of the partners (REMB); None: none is known.
+        requested_bps: the lowest estimate of the partners (REMB); None: none is known.
         sent_bps: what was sent over the last second.
         """
         passed_ns = None if self._changed_ns is None else now_ns - self._changed_ns
-        limited = wish_bps is not None and wish_bps < sent_bps * _LIMITS_BELOW
+        limited = requested_bps is not None and requested_bps < sent_bps * _LIMITS_BELOW
         if limited:
-            assert wish_bps is not None
-            wanted = max(min(wish_bps, self._most_bps), self._least_bps)
+            assert requested_bps is not None
+            wanted = max(min(requested_bps, self._most_bps), self._least_bps)
             soon = passed_ns is not None and passed_ns < _LOWER_AGAIN_NS
             if soon or wanted > self.bps * (1 - _WORTH):
                 return False
@@ -268,10 +268,10 @@ class PicturePlan:
 
 
 _FORMAT = struct.Struct("=qq")
-WISH_OCTETS = _FORMAT.size
+REQUEST_OCTETS = _FORMAT.size
 
 
-class Wish(NamedTuple):
+class CodingRequest(NamedTuple):
     """How to code the picture for partners.
 
     bps: its rate; 0: nobody watches. keys: grows with each key picture that is wanted.
@@ -288,7 +288,7 @@ class Wish(NamedTuple):
         return cls(*_FORMAT.unpack(octets))
 
 
-class UplinkWish:
+class UplinkRequest:
     """What to tell the process that codes for partners, and when its picture lacks a part.
 
     rate: the rate that partners can take.
@@ -314,10 +314,10 @@ class UplinkWish:
     def handle_key_wanted(self) -> None:
         self._keys += 1
 
-    def handle_time(self, wish_bps: int | None, now_ns: int) -> None:
-        """Follow the lowest estimate of the partners, as `RateFollower.handle_wish`."""
-        self.rate.handle_wish(wish_bps, self._sent.last_bps(now_ns), now_ns)
+    def handle_time(self, requested_bps: int | None, now_ns: int) -> None:
+        """Follow the lowest estimate of the partners, as `RateFollower.handle_request`."""
+        self.rate.handle_request(requested_bps, self._sent.last_bps(now_ns), now_ns)
 
-    def wish(self, *, watched: bool) -> Wish:
-        """Return the wish of now. watched: a partner is connected."""
-        return Wish(self.rate.bps if watched else 0, self._keys)
+    def request(self, *, watched: bool) -> CodingRequest:
+        """Return the request of now. watched: a partner is connected."""
+        return CodingRequest(self.rate.bps if watched else 0, self._keys)

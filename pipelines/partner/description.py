@@ -2,7 +2,7 @@
 
 All media share one transport (BUNDLE, RFC 9143), and RTP shares it with RTCP (RFC 5761). There is
 at most one picture and one voice, as WHIP has it (RFC 9725 section 4.4). No data channel is ever
-accepted, so that a stranger's messages are not even read.
+accepted, so that an unknown sender's messages are not even read.
 """
 
 import re

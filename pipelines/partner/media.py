@@ -12,7 +12,7 @@ from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.rtp.wire import AnyRtcpPacket, RtcpRrPacket, RtcpSrPacket, parse_rtcp
 from pipelines.partner.description import Kind, MediaLine
-from pipelines.partner.tally import MediaFigures
+from pipelines.partner.tally import MediaMetrics
 from pipelines.partner.tracks import IncomingPicture, IncomingVoice, OutgoingTrack
 
 _LEAST_RTP_OCTETS = 12
@@ -115,10 +115,10 @@ class RtcMedia:
         return track is not None and track.take_key_request(now_ns)
 
     @property
-    def wish_bps(self) -> int | None:
+    def requested_bps(self) -> int | None:
         """The rate that the partner can take as picture; None: it said none."""
         track = self.outgoing.get("video")
-        return None if track is None else track.wish_bps
+        return None if track is None else track.requested_bps
 
     def handle_rtp(self, packet: bytes, now_ns: int) -> None:
         whole = _LEAST_RTP_OCTETS <= len(packet) <= _MOST_OCTETS
@@ -191,10 +191,10 @@ class RtcMedia:
         return [one for one in said if one is not None]
 
     @property
-    def figures(self) -> MediaFigures:
-        return MediaFigures(
-            sent={kind: track.figures for kind, track in self.outgoing.items()},
-            received={stream.line.kind: stream.figures for stream in self._streams()},
+    def metrics(self) -> MediaMetrics:
+        return MediaMetrics(
+            sent={kind: track.metrics for kind, track in self.outgoing.items()},
+            received={stream.line.kind: stream.metrics for stream in self._streams()},
             garbage=self._garbage,
         )
 

@@ -27,9 +27,9 @@ from pipelines.partner.description import (
 )
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, RtcMedia, SoundCame
-from pipelines.partner.tally import TrackFigures
+from pipelines.partner.tally import TrackMetrics
 from pipelines.partner.transport import Route, RtcTransport
-from pipelines.session.figures import Report
+from pipelines.session.session_metrics import Report
 
 Event = PictureCame | SoundCame
 
@@ -280,10 +280,10 @@ class Programme:
             peer.send_opus(opus, stamp)
 
     @property
-    def wish_bps(self) -> int | None:
+    def requested_bps(self) -> int | None:
         """The lowest rate that a peer says it can take; None if none says any."""
-        wishes = [peer.media.wish_bps for peer in self.peers if peer.media is not None]
-        return min((wish for wish in wishes if wish is not None), default=None)
+        requests = [peer.media.requested_bps for peer in self.peers if peer.media is not None]
+        return min((request for request in requests if request is not None), default=None)
 
 
 class ReceivedKind(Report, frozen=True, kw_only=True):
@@ -336,19 +336,19 @@ def connection_report(peer: RtcPeer) -> RtcConnection | None:
     """Return the figures of a connection; None before its descriptions were exchanged."""
     if peer.media is None:
         return None
-    route, figures = peer.route, peer.media.figures
+    route, metrics = peer.route, peer.media.metrics
     return RtcConnection(
         route=None if route is None else str(route),
         ice_restarts=peer.restarts,
-        sent=_streams(figures.sent),
-        received=_streams(figures.received),
-        garbage=figures.garbage,
+        sent=_streams(metrics.sent),
+        received=_streams(metrics.received),
+        garbage=metrics.garbage,
     )
 
 
-def _streams(figures: dict[Kind, TrackFigures]) -> dict[str, RtcStream]:
+def _streams(metrics: dict[Kind, TrackMetrics]) -> dict[str, RtcStream]:
     found = {}
-    for kind, one in figures.items():
+    for kind, one in metrics.items():
         trip_ns = None if one.reception is None else one.reception.round_trip_ns
         found[str(kind)] = RtcStream(
             packets=one.packets,
@@ -359,6 +359,6 @@ def _streams(figures: dict[Kind, TrackFigures]) -> dict[str, RtcStream]:
             nacks=one.asked,
             repeated=one.repeated,
             dropped=one.dropped,
-            rate_told_bps=one.wish_bps,
+            rate_told_bps=one.requested_bps,
         )
     return found

@@ -13,8 +13,8 @@ from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_oft
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import ReceivedTopics, SentTopic
 from pipelines.media.following import Choice
-from pipelines.partner.decisions import PicturePlan, Wish
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.partner.decisions import CodingRequest, PicturePlan
+from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import GROUND_MIC
 from pipelines.session.topic_ends import SampleTopic
 from pipelines.session.topology import (
@@ -22,11 +22,11 @@ from pipelines.session.topology import (
     RTC_CAMERA_TOPIC,
     RTC_CODED_CAMERA_TOPIC,
     RTC_DECODED_CAMERA_TOPIC,
+    RTC_REQUEST_TOPIC,
     RTC_SPEECH_TOPIC,
     RTC_UNITS_TOPIC,
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
-    RTC_WISH_TOPIC,
     SELECTED_TOPIC,
     partner_camera,
 )
@@ -49,33 +49,33 @@ def run_rtc_encode(context: Context) -> None:
     voice = OpusEncoder(bitrate_bps=leg.voice_bps) if speaks else None
     with context.open_bus() as bus, EncodingThread(encoder, clock) as encoding:
         camera = _SelectedCamera(context, bus)
-        wishes = bus.reader(RTC_WISH_TOPIC)
-        wish = Wish(0, 0)
+        requests = bus.reader(RTC_REQUEST_TOPIC)
+        request = CodingRequest(0, 0)
         microphone = (
             bus.reader(context.topology.input(GROUND_MIC).topic, depth=8) if speaks else None
         )
         pictures = SentTopic(bus, RTC_VIDEO, RTC_VIDEO_TOPIC)
         packets = SampleTopic(bus, RTC_SPEECH_TOPIC) if speaks else None
-        others = [wishes] if microphone is None else [wishes, microphone]
+        others = [requests] if microphone is None else [requests, microphone]
         waiter = bus.waiter([*others, *camera.readers], [encoding.fileno()])
         encoded: Lease | None = None
         numbers = 0
         while not context.stopping:
             context.tick(clock.now_ns())
-            waiter.wait(PATIENCE_NS)
+            waiter.wait(TIMEOUT_NS)
             if camera.handle_choice():
                 plan.handle_key_request()
                 del waiter
                 waiter = bus.waiter([*others, *camera.readers], [encoding.fileno()])
-            told = wishes.latest()
+            told = requests.latest()
             if told is not None:
                 with told:
-                    newest = Wish.unpack(told.octets())
-                if newest.keys != wish.keys or not wish.bps:
+                    newest = CodingRequest.unpack(told.octets())
+                if newest.keys != request.keys or not request.bps:
                     plan.handle_key_request()
-                wish = newest
-                if wish.bps:
-                    plan.handle_rate(wish.bps)
+                request = newest
+                if request.bps:
+                    plan.handle_rate(request.bps)
             done = encoding.poll()
             if done is not None and encoded is not None:
                 encoded.release()
@@ -85,7 +85,7 @@ def run_rtc_encode(context: Context) -> None:
                 pictures.handle_unit(done.unit, encoder.unit_size)
             lease = None if encoded is not None else camera.newest()
             if lease is not None:
-                coding = plan.handle_picture(clock.now_ns()) if wish.bps else None
+                coding = plan.handle_picture(clock.now_ns()) if request.bps else None
                 if coding is None:
                     lease.release()
                 else:
@@ -96,7 +96,7 @@ def run_rtc_encode(context: Context) -> None:
                     encoded = lease
             while microphone is not None and (block := microphone.next()) is not None:
                 with block:
-                    if not wish.bps or voice is None or packets is None:
+                    if not request.bps or voice is None or packets is None:
                         continue
                     sound = block.audio()
                     octets = voice.encode(sound.samples)
@@ -165,7 +165,7 @@ def run_rtc_camera(context: Context) -> None:
         )
         while not context.stopping:
             context.tick(clock.now_ns())
-            units.wait(PATIENCE_NS)
+            units.wait(TIMEOUT_NS)
             while (lease := units.next()) is not None:
                 with lease:
                     stamp, octets = lease.stamp, lease.octets()
@@ -175,12 +175,12 @@ def run_rtc_camera(context: Context) -> None:
                     continue
                 timestamp = stamp.rtp_timestamp or 0
                 for picture in decoder.decode(unit.data, timestamp):
-                    # A stranger's picture must not make shared memory grow.
+                    # An unknown sender's picture must not make shared memory grow.
                     if picture.width * picture.height > most_pixels:
                         topics.handle_picture(picture, None)
                         continue
-                    hurt = picture.corrupt or stamp.quality is Quality.DAMAGED
-                    quality = Quality.DAMAGED if hurt else Quality.FRESH
+                    corrupted = picture.corrupt or stamp.quality is Quality.DAMAGED
+                    quality = Quality.DAMAGED if corrupted else Quality.FRESH
                     seen = CaptureStamp(stamp.capture_ns, shown, RTC_CAMERA, quality, timestamp)
                     shown += 1
                     loan = writer.loan_picture(stream.width, stream.height)

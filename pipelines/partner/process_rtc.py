@@ -13,17 +13,17 @@ from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.media.unit_history import KeptUnit, UnitHistory
-from pipelines.partner.decisions import WISH_OCTETS, UplinkWish
+from pipelines.partner.decisions import REQUEST_OCTETS, UplinkRequest
 from pipelines.partner.description import Kind
-from pipelines.partner.figures import RtcFigures
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.partner.peer import Programme, RtcPeer
 from pipelines.partner.samples import SamplePorts
 from pipelines.partner.server import RtcServer
 from pipelines.partner.tally import ConnectionSeen, SampleTally, Tally
 from pipelines.partner.tracks import PartnerTime
-from pipelines.session.messages import UNKNOWN_US
+from pipelines.session.hand_messages import UNKNOWN_US
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
@@ -33,6 +33,7 @@ from pipelines.session.topology import (
     RTC,
     RTC_CAMERA,
     RTC_CODED_VOICE_TOPIC,
+    RTC_REQUEST_TOPIC,
     RTC_SPEECH,
     RTC_SPEECH_TOPIC,
     RTC_UNITS_TOPIC,
@@ -40,10 +41,9 @@ from pipelines.session.topology import (
     RTC_VIDEO_TOPIC,
     RTC_VOICE,
     RTC_VOICE_TOPIC,
-    RTC_WISH_TOPIC,
     VideoRow,
 )
-from telepresence.haptics.ownership import Owner
+from telepresence.haptics.authority import Authority
 
 #: The programmes, as their addresses name them.
 UPLINK, DOWNLINK = "uplink", "downlink"
@@ -102,7 +102,7 @@ class _Leg:
         self._tally = Tally()
 
     async def run(self) -> None:
-        self._context.on_flush(self._tell)
+        self._context.on_flush(self._publish)
         await self._server.start()
         feeds = (*self._uplink.feeds, *self._downlink.feeds)
         for feed in feeds:
@@ -119,7 +119,7 @@ class _Leg:
         self._uplink.handle_time()
         order = None if self._orders is None else self._orders.latest_octets()
         if order is not None:
-            self._lent = order == Owner.PARTNER.value.encode("ascii")
+            self._lent = order == Authority.PARTNER.value.encode("ascii")
         self._count()
 
     def _count(self) -> None:
@@ -129,7 +129,7 @@ class _Leg:
                 peer: ConnectionSeen(
                     peer.connected,
                     peer.restarts,
-                    None if peer.media is None else peer.media.figures,
+                    None if peer.media is None else peer.media.metrics,
                     self._names(peer),
                 )
                 for peer in self._server.peers
@@ -143,7 +143,7 @@ class _Leg:
             return {"video": "downlink_video", "audio": "downlink_voice"}
         return {"video": RTC_CAMERA, "audio": RTC_VOICE}
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         self._count()
         total, server = self._tally.total, self._server
         standing = [peer for peer in server.peers if peer.connected]
@@ -152,20 +152,20 @@ class _Leg:
             one.reception.round_trip_ns
             for peer in standing
             if peer.media is not None
-            for one in peer.media.figures.sent.values()
+            for one in peer.media.metrics.sent.values()
             if one.reception is not None and one.reception.round_trip_ns is not None
         ]
-        self._context.probe.tell(
-            RtcFigures(
+        self._context.probe.publish(
+            RtcMetrics(
                 connections=self._tally.connections,
                 ice_restarts=total.restarts,
-                refused=dict(server.door.refused),
+                refused=dict(server.admission.refused),
                 garbage=total.garbage + server.garbage + self._hands.garbage,
                 faults=server.faults,
                 samples=self._hands.totals(),
-                rate_lowered=self._uplink.wish.rate.lowered,
+                rate_lowered=self._uplink.request.rate.lowered,
                 partners=len(standing),
-                rate_bps=self._uplink.wish.rate.bps,
+                rate_bps=self._uplink.request.rate.bps,
                 route=None if route is None else str(route),
                 round_trip_ns=trips[-1] if trips else None,
                 streams=total.streams,
@@ -186,29 +186,29 @@ class _Uplink:
             sends["audio"] = leg.voice_bps
             self.feeds.append(Feed(loop, bus, RTC_SPEECH_TOPIC, self._packet, depth=_DEPTH))
         self.programme = Programme(UPLINK, sends=sends, want_key=lambda _: self._want_key())
-        self.wish = UplinkWish(most_bps=leg.video_bps)
-        self._wishes = NumberedTopic(bus, RTC_WISH_TOPIC, max_octets=WISH_OCTETS, wake=True)
+        self.request = UplinkRequest(most_bps=leg.video_bps)
+        self._requests = NumberedTopic(bus, RTC_REQUEST_TOPIC, max_octets=REQUEST_OCTETS, wake=True)
 
     def handle_time(self) -> None:
-        """Follow the partners' wishes, and tell the coding process, also one that began since."""
-        self.wish.handle_time(self.programme.wish_bps, self._clock.now_ns())
-        self._tell()
+        """Follow the partners' requests, and tell the coding process, also one that began since."""
+        self.request.handle_time(self.programme.requested_bps, self._clock.now_ns())
+        self._publish()
 
     def _want_key(self) -> None:
-        self.wish.handle_key_wanted()
-        self._tell()
+        self.request.handle_key_wanted()
+        self._publish()
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         now_ns = self._clock.now_ns()
         watched = any(peer.connected for peer in self.programme.peers)
-        wish = self.wish.wish(watched=watched)
-        self._wishes.publish_octets(wish.pack(), now_ns)
+        request = self.request.request(watched=watched)
+        self._requests.publish_octets(request.pack(), now_ns)
 
     def _unit(self, lease: Lease) -> None:
         unit, stamp = CodedUnit.unpack(lease.octets()), lease.stamp
         now_ns, octets = self._clock.now_ns(), len(unit.data)
-        if self.wish.handle_unit(stamp.sequence, octets, key=unit.key, now_ns=now_ns):
-            self._tell()
+        if self.request.handle_unit(stamp.sequence, octets, key=unit.key, now_ns=now_ns):
+            self._publish()
         self.programme.send_unit(AccessUnit(unit.data, stamp, unit.key))
 
     def _packet(self, lease: Lease) -> None:

@@ -30,7 +30,7 @@ from telepresence.haptics.sample import SAMPLE_OCTETS
 
 _LABEL = "haptics"
 _HERE, _DISPLACED = b"\0", b"\1"
-_TELL_S, _SILENT_S, _CONNECT_S = 0.5, 4.0, 20.0
+_PUBLISH_S, _SILENT_S, _CONNECT_S = 0.5, 4.0, 20.0
 #: What aiortc raises for a description that it cannot use.
 _UNUSABLE = (*MALFORMED, InvalidAccessError, InvalidStateError)
 
@@ -79,7 +79,7 @@ class SamplePeer:
         if self._channel is not None and self._channel.readyState == "open":
             self._channel.send(_DISPLACED)
             # `close` would drop what has not left yet.
-            await asyncio.sleep(_TELL_S)
+            await asyncio.sleep(_PUBLISH_S)
         await self.close()
 
     async def offer(self) -> str:
@@ -122,7 +122,7 @@ class SamplePeer:
                 self.fault = f"nothing has come for {waited_s:.0f} s"
                 break
             with suppress(TimeoutError):
-                async with asyncio.timeout(_TELL_S):
+                async with asyncio.timeout(_PUBLISH_S):
                     await self._ended.wait()
         await self.close()
 

@@ -3,7 +3,7 @@
 | request | for |
 |---|---|
 | POST /whip | the partner's picture and voice (RFC 9725) |
-| POST /whep/NAME | to watch a programme (draft-ietf-wish-whep) |
+| POST /whep/NAME | to watch a programme (draft-ietf-request-whep) |
 | POST /haptics | to steer, with a token of its own: a data channel for haptic samples |
 | PATCH, DELETE /session/ID | to add addresses, to restart ICE, to end |
 | GET /rtc?token=… | a page that does all of it |
@@ -18,7 +18,7 @@ from aiohttp import web
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, ProtocolError
-from pipelines.partner.decisions import Door, Refusal
+from pipelines.partner.decisions import Admission, Refusal
 from pipelines.partner.description import (
     MALFORMED,
     MOST_SDP_OCTETS,
@@ -49,8 +49,8 @@ _CROSS_ORIGIN = {
     "Access-Control-Allow-Headers": "Authorization, Content-Type, If-Match",
     "Access-Control-Expose-Headers": "Location, ETag, Link, Accept-Patch",
 }
-#: A connection that does not come about is ended; the partner's own patience is as long.
-_PATIENCE_S = 25.0
+#: A connection that does not come about is ended; the partner's own timeout is as long.
+_TIMEOUT_S = 25.0
 _CLOSE_S = 0.5
 
 
@@ -72,7 +72,7 @@ class RtcServer:
     servers: called for the STUN and TURN servers of each new connection.
     most_bps: of the partner's picture.
     samples: what its joystick drives; None: nothing. Its token is among the listener's people.
-    lent: whether the owner lets partners drive; see `Door.check_hand`.
+    lent: whether the owner lets partners drive; see `Admission.check_hand`.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class RtcServer:
         self._clock, self._handle = clock, handle
         self._servers, self._most_bps = servers, most_bps
         self.programmes = {programme.name: programme for programme in programmes}
-        self.door = Door(
+        self.admission = Admission(
             token=listener.operator_token, hand_token=listener.people.get(HAND_TOKEN, "")
         )
         self._site = WebSite(listener, seat="rtc")
@@ -114,7 +114,7 @@ class RtcServer:
 
     async def start(self) -> None:
         application = web.Application(client_max_size=MOST_SDP_OCTETS)
-        # One handler: the address tells a stranger nothing before the token is known.
+        # One handler: the address tells an unknown sender nothing before the token is known.
         application.router.add_route("*", "/{path:.*}", self._answer)
         self._runner = web.AppRunner(
             application,
@@ -161,7 +161,7 @@ class RtcServer:
     async def _signal(self, request: web.Request, path: str) -> web.Response:
         now_ns = self._clock.now_ns()
         steers = None if path.startswith(_SESSION) else path == _HAPTICS
-        refusal = self.door.check(request.headers.get("Authorization"), now_ns, steers=steers)
+        refusal = self.admission.check(request.headers.get("Authorization"), now_ns, steers=steers)
         if refusal is not None:
             return _refused(refusal)
         self._site.handle_known(request)
@@ -183,12 +183,12 @@ class RtcServer:
         text = text_of(await request.read(), request.charset)
         offer = clean_candidates(text, loopback=_is_here(request))
         viewers = None if programme is None else len(programme.peers)
-        refusal = self.door.check_offer(viewers=viewers, now_ns=now_ns)
+        refusal = self.admission.check_offer(viewers=viewers, now_ns=now_ns)
         if refusal is not None:
             return _refused(refusal)
         if path == _HAPTICS and self._samples is not None:
             heard_ns = None if self.hand is None else self.hand.heard_ns
-            refusal = self.door.check_hand(heard_ns=heard_ns, lent=self._lent(), now_ns=now_ns)
+            refusal = self.admission.check_hand(heard_ns=heard_ns, lent=self._lent(), now_ns=now_ns)
             if refusal is not None:
                 return _refused(refusal)
             return await self._begin_hand(offer, self._samples)

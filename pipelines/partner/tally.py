@@ -4,31 +4,31 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
-from kontur_av.figures import plus
-from kontur_av.rtp.reports import ReceptionFigures
+from kontur_av.metrics import plus
+from kontur_av.rtp.reports import ReceptionMetrics
 from pipelines.partner.description import Kind
-from pipelines.partner.figures import RtcStreamFigures
+from pipelines.partner.partner_metrics import RtcStreamMetrics
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrackFigures(RtcStreamFigures):
+class TrackMetrics(RtcStreamMetrics):
     """One stream of one connection; of one that comes, `repeated` came after a NACK.
 
-    dropped: units that waited too long. wish_bps: the newest REMB. reception: what the partner last
+    dropped: units that waited too long. requested_bps: the newest REMB. reception: what the partner last
     said of a stream towards it.
     """
 
     dropped: int = 0
-    wish_bps: int | None = None
-    reception: ReceptionFigures | None = None
+    requested_bps: int | None = None
+    reception: ReceptionMetrics | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MediaFigures:
+class MediaMetrics:
     """Figures of a connection. garbage: packets that were not RTP or RTCP of it."""
 
-    sent: dict[Kind, TrackFigures]
-    received: dict[Kind, TrackFigures]
+    sent: dict[Kind, TrackMetrics]
+    received: dict[Kind, TrackMetrics]
     garbage: int
 
 
@@ -37,7 +37,7 @@ class ConnectionSeen(NamedTuple):
 
     connected: bool
     restarts: int
-    figures: MediaFigures | None
+    metrics: MediaMetrics | None
     streams: Mapping[Kind, str]
 
 
@@ -47,7 +47,7 @@ class ConnectionCounts(NamedTuple):
     stood: bool = False
     restarts: int = 0
     garbage: int = 0
-    streams: Mapping[str, RtcStreamFigures] = {}
+    streams: Mapping[str, RtcStreamMetrics] = {}
 
 
 class Tally:
@@ -72,18 +72,18 @@ class Tally:
     def total(self) -> ConnectionCounts:
         """The sums: restarts of ICE, garbage, and counts by stream."""
         total = self._ended
-        for life in self._lives.values():
-            total = _joined(total, life)
+        for boot_id in self._lives.values():
+            total = _joined(total, boot_id)
         return total
 
 
 def _newer(before: ConnectionCounts, seen: ConnectionSeen) -> ConnectionCounts:
     stood = before.stood or seen.connected
-    if seen.figures is None:
+    if seen.metrics is None:
         return before._replace(stood=stood, restarts=seen.restarts)
-    both = (*seen.figures.sent.items(), *seen.figures.received.items())
+    both = (*seen.metrics.sent.items(), *seen.metrics.received.items())
     streams = {seen.streams[kind]: _counts(one) for kind, one in both}
-    return ConnectionCounts(stood, seen.restarts, seen.figures.garbage, streams)
+    return ConnectionCounts(stood, seen.restarts, seen.metrics.garbage, streams)
 
 
 def _joined(one: ConnectionCounts, other: ConnectionCounts) -> ConnectionCounts:
@@ -94,9 +94,9 @@ def _joined(one: ConnectionCounts, other: ConnectionCounts) -> ConnectionCounts:
     return ConnectionCounts(False, restarts, garbage, streams)
 
 
-def _counts(of: TrackFigures) -> RtcStreamFigures:
-    names = (each.name for each in fields(RtcStreamFigures))
-    return RtcStreamFigures(**{name: getattr(of, name) for name in names})
+def _counts(of: TrackMetrics) -> RtcStreamMetrics:
+    names = (each.name for each in fields(RtcStreamMetrics))
+    return RtcStreamMetrics(**{name: getattr(of, name) for name in names})
 
 
 _NAMES = {"received": "taken", "sent": "given", "dropped": "left_out"}

@@ -36,7 +36,7 @@ from kontur_av.rtp.wire import (
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.partner.description import MediaLine
-from pipelines.partner.tally import TrackFigures
+from pipelines.partner.tally import TrackMetrics
 
 #: How long a picture waits for a packet that was asked for.
 _REPAIR_NS = 150 * NS_PER_MS
@@ -96,8 +96,8 @@ class IncomingPicture(_Incoming):
         self._asker = LossAsker(ssrc=ssrc) if nack else None
         self._send_time = line.extensions.get(ABS_SEND_TIME)
         self._estimator = RemoteBitrateEstimator() if "goog-remb" in line.feedback else None
-        self._wish: bytes | None = None
-        self._wish_bps: int | None = None
+        self._request: bytes | None = None
+        self._requested_bps: int | None = None
 
     def handle_packet(self, packet: bytes, now_ns: int) -> None:
         """Handle an RTP packet of this stream. Drain `receiver` afterwards."""
@@ -115,8 +115,8 @@ class IncomingPicture(_Incoming):
             return asked
         if (asked := self.receiver.poll_feedback(now_ns)) is not None:
             return asked
-        wish, self._wish = self._wish, None
-        return wish
+        request, self._request = self._request, None
+        return request
 
     def poll_timeout(self) -> int | None:
         """Return when to call `handle_timeout` and `poll_feedback`; None: not yet."""
@@ -124,16 +124,16 @@ class IncomingPicture(_Incoming):
         return min((one for one in due if one is not None), default=None)
 
     @property
-    def figures(self) -> TrackFigures:
+    def metrics(self) -> TrackMetrics:
         counts, asker = self.receiver.counts, self._asker
-        return TrackFigures(
+        return TrackMetrics(
             packets=counts.rtp.rtp_packets,
             lost=counts.rtp.rtp_lost,
             octets=counts.rtp.rtp_payload_octets,
             keys_asked=counts.pictures_asked_for,
             asked=0 if asker is None else asker.sent,
-            repeated=0 if asker is None else asker.mended,
-            wish_bps=self._wish_bps,
+            repeated=0 if asker is None else asker.repaired,
+            requested_bps=self._requested_bps,
         )
 
     def _estimate(self, packet: bytes, source: int, now_ns: int) -> None:
@@ -152,8 +152,8 @@ class IncomingPicture(_Incoming):
             ssrc=source,
         )
         if found is not None:
-            self._wish_bps = min(found[0], self._most_bps)
-            self._wish = rate_message(self._wish_bps, ssrc=self._ssrc, media_ssrcs=[source])
+            self._requested_bps = min(found[0], self._most_bps)
+            self._request = rate_message(self._requested_bps, ssrc=self._ssrc, media_ssrcs=[source])
 
 
 class IncomingVoice(_Incoming):
@@ -166,9 +166,9 @@ class IncomingVoice(_Incoming):
         super().__init__(line, self.receiver)
 
     @property
-    def figures(self) -> TrackFigures:
+    def metrics(self) -> TrackMetrics:
         rtp = self.receiver.counts.rtp
-        return TrackFigures(
+        return TrackMetrics(
             packets=rtp.rtp_packets, lost=rtp.rtp_lost, octets=rtp.rtp_payload_octets
         )
 
@@ -281,7 +281,7 @@ class OutgoingTrack:
         self._key_due = video
         self._answered_ns: int | None = None
         #: The newest rate that the partner can take (REMB); None: it said none.
-        self.wish_bps: int | None = None
+        self.requested_bps: int | None = None
         self._dropped = self._keys_asked = 0
 
     def _drop_waiting(self) -> None:
@@ -369,9 +369,9 @@ class OutgoingTrack:
         return self._rtp.goodbye(now_ns)
 
     @property
-    def figures(self) -> TrackFigures:
-        history, reception = self._history, self._reader.figures
-        return TrackFigures(
+    def metrics(self) -> TrackMetrics:
+        history, reception = self._history, self._reader.metrics
+        return TrackMetrics(
             packets=self._rtp.packets_sent,
             octets=self._rtp.payload_octets_sent,
             lost=0 if reception is None else max(reception.lost, 0),
@@ -379,7 +379,7 @@ class OutgoingTrack:
             repeated=0 if history is None else history.repeated,
             keys_asked=self._keys_asked,
             dropped=self._dropped,
-            wish_bps=self.wish_bps,
+            requested_bps=self.requested_bps,
             reception=reception,
         )
 
@@ -416,4 +416,4 @@ class OutgoingTrack:
             return
         told = told_rate(packet)
         if told is not None and self.ssrc in told[1]:
-            self.wish_bps = told[0]
+            self.requested_bps = told[0]

@@ -1,4 +1,4 @@
-"""WHIP (RFC 9725) and WHEP (draft-ietf-wish-whep) towards a media server. A shell.
+"""WHIP (RFC 9725) and WHEP (draft-ietf-request-whep) towards a media server. A shell.
 
 Both are one exchange of HTTP: an offer is posted, the answer comes back with the address of the
 session, at which ICE is restarted and the session is deleted. `Keeper` keeps one connection, and
@@ -90,7 +90,7 @@ class WhipClient:
     async def post(self, offer: str) -> str:
         """Post an offer; the answer.
 
-        Raises ConfigError for what trying again does not mend, ConnectionError for a server that
+        Raises ConfigError for what trying again does not fix, ConnectionError for a server that
         does not answer or refuses for now, and ProtocolError for one that answers nonsense.
         """
         headers = {"Content-Type": _SDP, "Accept": _SDP}
@@ -230,7 +230,7 @@ class Keeper(Generic[_Peer]):
     async def run(self) -> None:
         """Keep the connection until `stop`, or until another one has taken its place.
 
-        Raises ConfigError for what trying again does not mend, unless a connection stood before.
+        Raises ConfigError for what trying again does not fix, unless a connection stood before.
         """
         displaced = False
         while not self._stopping:

@@ -11,21 +11,21 @@ from enum import Enum
 from mcap.records import Channel, Schema
 
 from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY
-from pipelines.recording.messages import (
+from pipelines.recording.recorded_messages import (
     AUDIO,
     EVENT,
     EXPERIMENT,
-    FIGURES,
     HAPTIC_SAMPLES,
     LED_PANEL,
     LINK_RECEIVED,
     LINK_SENT,
     LOG,
     LOSSES,
+    METRICS,
     SCHEMAS,
     SPACE_PACKET,
     TRANSFER_FRAMES,
-    UNIT_FACTS,
+    UNIT_METADATA,
     VIDEO,
 )
 from pipelines.recording.schemas import MessageSchema, descriptor_set
@@ -50,13 +50,13 @@ from pipelines.session.topology import (
 
 PROTOBUF = "protobuf"
 EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"
-SESSION_FIGURES = "/figures"
+SESSION_METRICS = "/figures"
 SENT, RECEIVED = "sent", "received"
 #: Those of no topic: their schema, and what a message is.
 _TOLD = {
     EVENTS: (EVENT, "touch, loss of signal, restart, camera switch, refused picture, …"),
     LOG_LINES: (LOG, "the events as lines, for Foxglove's panel"),
-    SESSION_FIGURES: (FIGURES, "figures of the report that have changed, once a second"),
+    SESSION_METRICS: (METRICS, "figures of the report that have changed, once a second"),
     RECORDER_LOSSES: (LOSSES, "what the recorder could not keep"),
 }
 #: By end of the hand: its topic.
@@ -79,7 +79,7 @@ class Content(Enum):
 
 #: The schemas of its channels.
 _SCHEMAS: Mapping[Content, tuple[MessageSchema, ...]] = {
-    Content.UNIT: (VIDEO, UNIT_FACTS),
+    Content.UNIT: (VIDEO, UNIT_METADATA),
     Content.HAPTICS: (HAPTIC_SAMPLES, HAPTIC_SAMPLES),
     Content.SOUND: (AUDIO,),
     Content.PACKET: (SPACE_PACKET,),

@@ -9,8 +9,8 @@ from mcap.records import Attachment, Message, Metadata
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
-from pipelines.recording.facts import FACTS, MENDED, RecordingFacts
-from pipelines.recording.messages import RecorderLosses, unpack
+from pipelines.recording.metadata import METADATA, REPAIRED, RecordingMetadata
+from pipelines.recording.recorded_messages import RecorderLosses, unpack
 from pipelines.recording.scan import Scan, check_format
 from pipelines.session.topology.tables import Table
 
@@ -60,14 +60,14 @@ class ChannelInventory:
 class Inventory:
     """What is in a file.
 
-    facts: None if they are lost, or of another program.
-    mended: what `recover` noted of the torn file that this one was made of.
+    metadata: None if they are lost, or of another program.
+    repaired: what `recover` noted of the torn file that this one was made of.
     losses: what the recorder could not keep, by its newest message.
     """
 
     scan: Scan
-    facts: RecordingFacts | None
-    mended: Mapping[str, str]
+    metadata: RecordingMetadata | None
+    repaired: Mapping[str, str]
     losses: RecorderLosses | None
     channels: Sequence[ChannelInventory]
 
@@ -76,16 +76,16 @@ def take_inventory(octets: memoryview) -> Inventory:
     """Read a file; ProtocolError if it is no MCAP file, or a recording of a newer format."""
     scan = Scan(octets)
     channels: dict[int, ChannelInventory] = {}
-    facts: RecordingFacts | None = None
+    metadata: RecordingMetadata | None = None
     losses: RecorderLosses | None = None
-    mended: dict[str, str] = {}
+    repaired: dict[str, str] = {}
     for item in scan.items():
         if isinstance(item, Metadata):
-            if item.name == FACTS:
+            if item.name == METADATA:
                 with suppress(ProtocolError):
-                    facts = RecordingFacts.of(item.metadata)
-            elif item.name == MENDED:
-                mended = item.metadata
+                    metadata = RecordingMetadata.of(item.metadata)
+            elif item.name == REPAIRED:
+                repaired = item.metadata
             continue
         if isinstance(item, Attachment):
             continue
@@ -104,8 +104,8 @@ def take_inventory(octets: memoryview) -> Inventory:
             channels[channel.id] = ChannelInventory(channel.topic, name)
     return Inventory(
         scan=scan,
-        facts=facts,
-        mended=mended,
+        metadata=metadata,
+        repaired=repaired,
         losses=losses,
         channels=sorted(channels.values(), key=lambda each: each.topic),
     )
@@ -122,22 +122,22 @@ def inventory_lines(inventory: Inventory, name: str, width: int) -> list[str]:
 
 
 def _head(inventory: Inventory, name: str) -> Iterator[str]:
-    scan, facts = inventory.scan, inventory.facts
-    figures = scan.figures
+    scan, metadata = inventory.scan, inventory.metadata
+    metrics = scan.metrics
     yield (
-        f"{name}: {_size(figures.octets)}, {figures.messages} messages on "
+        f"{name}: {_size(metrics.octets)}, {metrics.messages} messages on "
         f"{len(inventory.channels)} channels"
     )
     if not scan.ours:
         yield f"written by {scan.library or 'an unknown program'}: not a recording of kontur-av"
-    elif facts is None:
+    elif metadata is None:
         yield f"written by {scan.library}; its facts are lost"
     else:
         yield (
-            f"session {facts.session} of setup {facts.setup}, part {facts.part}, "
-            f"seed {facts.seed}, kontur-av {facts.version}"
+            f"session {metadata.session} of setup {metadata.setup}, part {metadata.part}, "
+            f"seed {metadata.seed}, kontur-av {metadata.version}"
         )
-        yield f"by `{facts.command}`"
+        yield f"by `{metadata.command}`"
     filled = [channel for channel in inventory.channels if channel.messages]
     if filled:
         first_ns = min(channel.first_ns for channel in filled)
@@ -146,21 +146,21 @@ def _head(inventory: Inventory, name: str) -> Iterator[str]:
 
 
 def _state(inventory: Inventory, name: str) -> Iterator[str]:
-    figures = inventory.scan.figures
-    mend = f"; `kontur-av recover {name}` mends it" if inventory.scan.ours else ""
-    if figures.holes:
-        places = f"{len(figures.holes)} places" if len(figures.holes) > 1 else "one place"
-        yield (f"torn or damaged: {_size(figures.unread_octets)} in {places} cannot be read{mend}")
-    elif not figures.closed:
-        yield f"torn: its summary is missing, all that was written can be read{mend}"
-    elif not figures.sound:
-        yield f"damaged, but every message can be read{mend}"
-    if figures.orphans:
-        yield f"{figures.orphans} messages of unknown channels were left out"
-    if inventory.mended:
-        told = inventory.mended
+    metrics = inventory.scan.metrics
+    fix = f"; `kontur-av recover {name}` fixes it" if inventory.scan.ours else ""
+    if metrics.holes:
+        places = f"{len(metrics.holes)} places" if len(metrics.holes) > 1 else "one place"
+        yield (f"torn or damaged: {_size(metrics.unread_octets)} in {places} cannot be read{fix}")
+    elif not metrics.closed:
+        yield f"torn: its summary is missing, all that was written can be read{fix}"
+    elif not metrics.sound:
+        yield f"damaged, but every message can be read{fix}"
+    if metrics.orphans:
+        yield f"{metrics.orphans} messages of unknown channels were left out"
+    if inventory.repaired:
+        told = inventory.repaired
         yield (
-            f"mended: {told.get('unread_octets', '?')} of {told.get('octets', '?')} octets of the "
+            f"fixed: {told.get('unread_octets', '?')} of {told.get('octets', '?')} octets of the "
             "torn file could not be read"
         )
     for loss in inventory.losses.losses if inventory.losses else ():

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
-from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.inventory import Inventory, take_inventory
-from pipelines.recording.messages import (
+from pipelines.recording.metadata import RecordingMetadata
+from pipelines.recording.recorded_messages import (
     EVENT,
     HAPTIC_SAMPLES,
     RecordedEvent,
@@ -77,9 +77,11 @@ class JoinedRecording:
     parts: Sequence[Part]
 
     @property
-    def facts(self) -> RecordingFacts | None:
+    def metadata(self) -> RecordingMetadata | None:
         """Those of the first part whose facts are not lost."""
-        return next((part.inventory.facts for part in self.parts if part.inventory.facts), None)
+        return next(
+            (part.inventory.metadata for part in self.parts if part.inventory.metadata), None
+        )
 
     @property
     def begin_ns(self) -> int:
@@ -87,9 +89,9 @@ class JoinedRecording:
 
         When the recording began; where that is lost, the instant of its earliest message.
         """
-        facts = self.parts[0].inventory.facts
-        if facts is not None:
-            return facts.session_ns
+        metadata = self.parts[0].inventory.metadata
+        if metadata is not None:
+            return metadata.session_ns
         return self.first_ns()
 
     def first_ns(self, topics: Sequence[str] | None = None) -> int:
@@ -161,9 +163,9 @@ def read_part(octets: memoryview) -> Part:
     """
     inventory = take_inventory(octets)
     refuse_foreign(inventory.scan)
-    facts = inventory.facts
-    if facts is not None:
-        offset_ns = facts.wall_ns - facts.session_ns
+    metadata = inventory.metadata
+    if metadata is not None:
+        offset_ns = metadata.wall_ns - metadata.session_ns
     elif (offset_ns := _offset_of_messages(octets)) == 0:
         # Where nothing tells it, instants that no table holds count from the earliest one.
         told = [channel for channel in inventory.channels if channel.messages]
@@ -179,41 +181,41 @@ def chosen_parts(found: Mapping[int, Part]) -> tuple[dict[int, Part], dict[int, 
     and why each other one is left out. The first file with facts says which recording it is; one
     whose facts are lost is taken as a part of it.
     """
-    known = [part for part in found.values() if part.inventory.facts is not None]
+    known = [part for part in found.values() if part.inventory.metadata is not None]
     taken: dict[int, Part] = {}
     left_out: dict[int, str] = {}
     numbers: set[int] = set()
     for number, part in found.items():
-        facts = part.inventory.facts
-        if facts is None:
+        metadata = part.inventory.metadata
+        if metadata is None:
             offset_ns = known[0].wall_offset_ns if known else part.wall_offset_ns
             taken[number] = replace(part, wall_offset_ns=offset_ns)
-        elif known[0].inventory.facts and not facts.is_of(known[0].inventory.facts):
+        elif known[0].inventory.metadata and not metadata.is_of(known[0].inventory.metadata):
             left_out[number] = "it is of another recording"
-        elif facts.part in numbers:
-            left_out[number] = f"part {facts.part} is there already"
+        elif metadata.part in numbers:
+            left_out[number] = f"part {metadata.part} is there already"
         else:
-            numbers.add(facts.part)
+            numbers.add(metadata.part)
             taken[number] = part
     return dict(sorted(taken.items(), key=lambda each: _begin_ns(each[1]))), left_out
 
 
 def _begin_ns(part: Part) -> int:
     """When a part was begun; where its facts are lost, its earliest instant."""
-    facts = part.inventory.facts
-    return _first_ns(part) if facts is None else facts.session_ns
+    metadata = part.inventory.metadata
+    return _first_ns(part) if metadata is None else metadata.session_ns
 
 
 def _first_ns(part: Part, topics: Sequence[str] | None = None) -> int:
     """The earliest instant in it on the session's clock; of an empty part, that of its facts."""
-    facts = part.inventory.facts
+    metadata = part.inventory.metadata
     return min(
         (
             channel.first_ns - part.wall_offset_ns
             for channel in part.inventory.channels
             if channel.messages and (topics is None or channel.topic in topics)
         ),
-        default=0 if facts is None else facts.session_ns,
+        default=0 if metadata is None else metadata.session_ns,
     )
 
 

@@ -24,7 +24,7 @@ from pipelines.media.rtp_reports import ForwardedReport
 from pipelines.recording.matroska import CodedContainer, Remuxer, begins_stream
 from pipelines.session.command_process import say
 from pipelines.session.datagrams import resolve
-from pipelines.session.figures import gathered
+from pipelines.session.session_metrics import gathered
 
 #: Without delays in the muxer: a picture's length is told, so that no player waits for the next.
 _MPEGTS = {"flush_packets": "1", "omit_video_pes_length": "0", "pes_payload_size": "0"}
@@ -147,9 +147,9 @@ class LiveWriter:
         with suppress(EOFError, OSError):
             while self._ours.poll():
                 before, self._state = self._state, self._ours.recv()
-                self._tell(before, self._state)
+                self._publish(before, self._state)
 
-    def _tell(self, before: _State, now: _State) -> None:
+    def _publish(self, before: _State, now: _State) -> None:
         if now.connections > before.connections:
             self._broken = False
             say(f"{self._shown}: the stream goes there")
@@ -208,9 +208,9 @@ def _write(inbox: Connection, other: Connection, url: str, codec: VideoCodec) ->
 
 
 class _Writing:
-    def __init__(self, url: str, codec: VideoCodec, tell: Callable[[_State], None]) -> None:
+    def __init__(self, url: str, codec: VideoCodec, publish: Callable[[_State], None]) -> None:
         self._url, self._codec = url, codec
-        self._tell = tell
+        self._publish = publish
         self._state = _State()
         self._remuxer: Remuxer | None = None
         self._retry_ns = 0
@@ -226,7 +226,7 @@ class _Writing:
                 self._close()
                 self._retry_ns = time.monotonic_ns() + _RETRY_NS
             self._state = state
-            self._tell(state)
+            self._publish(state)
         self._close()
 
     def _written(self, piece: _Piece, state: _State) -> _State:
@@ -236,7 +236,7 @@ class _Writing:
             if not piece.samples and not begins_stream(piece.data, self._codec):
                 return state._replace(needs_key=True)
             # Told if FFmpeg then waits without an end.
-            self._tell(state._replace(last_fault="no answer"))
+            self._publish(state._replace(last_fault="no answer"))
             form, options = _SCHEMES[urlsplit(self._url).scheme]
             self._remuxer = Remuxer(
                 CodedContainer(av.open(self._url, "w", format=form, options=options)), self._codec

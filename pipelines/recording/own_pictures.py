@@ -35,7 +35,7 @@ from pipelines.media.unit_history import UnitHistory
 _MOST_PIXELS = 50_000_000
 #: How long messages of a stream wait for a key picture at most, and how many octets of them.
 #: Then a black key picture is written instead, so that none is dropped.
-KEY_PATIENCE_NS: Final = 5 * NS_PER_S
+KEY_TIMEOUT_NS: Final = 5 * NS_PER_S
 MOST_HELD_OCTETS: Final = 1 << 20
 
 

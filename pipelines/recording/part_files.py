@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 
 from kontur_av.errors import ConfigError, ProtocolError, refused
 from kontur_av.sources.spec import played_file
-from pipelines.recording.facts import RecordingFacts
+from pipelines.recording.metadata import RecordingMetadata
 from pipelines.recording.recording_file import check_new, octets_of_file
-from pipelines.recording.scan import first_facts
+from pipelines.recording.scan import first_capabilities
 from pipelines.session.setup.table import Setup
 
 if TYPE_CHECKING:
@@ -101,10 +101,10 @@ def _old_parts(path: Path) -> Iterator[Path]:
     present = present_parts(path)
     if 1 not in present:
         return
-    facts = _facts_of(path)
+    metadata = _capabilities_of(path)
     for old in present.values():
-        found = _facts_of(old)
-        same = facts is not None and found is not None and found.is_of(facts)
+        found = _capabilities_of(old)
+        same = metadata is not None and found is not None and found.is_of(metadata)
         if old == path or same or not old.stat().st_size:
             yield old
 
@@ -118,9 +118,9 @@ def _is_being_written(path: Path) -> bool:
     return False
 
 
-def _facts_of(path: Path) -> RecordingFacts | None:
+def _capabilities_of(path: Path) -> RecordingMetadata | None:
     try:
-        return first_facts(octets_of_file(path))
+        return first_capabilities(octets_of_file(path))
     except (ConfigError, ProtocolError):
         return None
 
@@ -187,12 +187,12 @@ class PartFiles:
         while self._results:
             yield self._results.popleft()
 
-    def close(self, patience_s: float) -> bool:
+    def close(self, timeout_s: float) -> bool:
         """Write what was put, and close all files; False if the disk takes too long."""
         self._pieces.put(None)
-        self._threads[0].join(patience_s)
+        self._threads[0].join(timeout_s)
         self._ended.set()
-        self._threads[1].join(patience_s)
+        self._threads[1].join(timeout_s)
         return not any(thread.is_alive() for thread in self._threads)
 
     def _write(self) -> None:

@@ -1,6 +1,6 @@
 """The process that records the session: topics in, files out, and a Unix socket for requests.
 
-`Recorder` decides what is written, `RecorderDesk` what is answered. This module has the topics, the
+`Recorder` decides what is written, `RecorderRequests` what is answered. This module has the topics, the
 files and the sleep. While nothing is recorded, it reads no topic.
 
 What is being recorded is also in a file of the session's directory. So a recorder that was killed
@@ -16,28 +16,28 @@ import msgspec
 from kontur_av import __version__
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
-from kontur_av.figures import plus
+from kontur_av.metrics import plus
 from pipelines.media.following import Choice
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.recording import part_files
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, sources_of
-from pipelines.recording.desk import Ask, RecorderDesk, Start, Stop
-from pipelines.recording.facts import RecordingFacts
-from pipelines.recording.figures import RecorderFigures
-from pipelines.recording.messages import RecordedEvent
+from pipelines.recording.metadata import RecordingMetadata
+from pipelines.recording.recorded_messages import RecordedEvent
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
-from pipelines.session.figures import SessionEvents, gathered
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.recording.recorder_metrics import RecorderMetrics
+from pipelines.recording.recorder_requests import Ask, RecorderRequests, Start, Stop
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.session_metrics import SessionEvents, gathered
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.terminal_lines import RecordAnswer, RecordingWish, Reply
+from pipelines.session.terminal_lines import RecordAnswer, RecordingOptions, Reply
 from pipelines.session.terminals import (
-    RECORDER_DESK,
+    RECORDER_SOCKET,
     TerminalSockets,
-    desk_path,
-    read_wish,
-    remove_wish,
-    write_wish,
+    read_request,
+    remove_request,
+    request_socket,
+    write_request,
 )
 from pipelines.session.topology import SELECTED_TOPIC
 
@@ -63,26 +63,26 @@ class _RecorderProcess:
 
     def __init__(self, context: Context) -> None:
         self._context, self._now_ns = context, context.clock.now_ns
-        self._desk = RecorderDesk(read_wish(context.session), self._now_ns())
+        self._service = RecorderRequests(read_request(context.session), self._now_ns())
         self._recording: _Recording | None = None
         # Before anything is recorded, so that the codecs are loaded then.
         self._maker = KeyPictureMaker()
-        #: Of all recordings that have ended in this life, and of the newest of them.
-        self._past = self._newest = RecorderFigures()
-        context.on_flush(self._tell)
+        #: Of all recordings that have ended in this start, and of the newest of them.
+        self._past = self._newest = RecorderMetrics()
+        context.on_flush(self._publish)
 
     def run(self) -> None:
         context, now_ns = self._context, self._now_ns
-        if self._desk.wish is not None:
-            self._recording = _Recording(context, self._desk.wish, self._maker)
+        if self._service.options is not None:
+            self._recording = _Recording(context, self._service.options, self._maker)
             # The launcher waits for it.
             context.flush(now_ns())
-        terminals = TerminalSockets(desk_path(context.session, RECORDER_DESK))
+        terminals = TerminalSockets(request_socket(context.session, RECORDER_SOCKET))
         while not context.stopping:
-            wait_ns = PATIENCE_NS if self._recording is None else _WAKE_NS
+            wait_ns = TIMEOUT_NS if self._recording is None else _WAKE_NS
             self._serve(terminals, wait_ns)
             context.tick(now_ns())
-            while (told := context.receive_figures()) is not None:
+            while (told := context.receive_metrics()) is not None:
                 if self._recording is not None:
                     self._recording.handle_events(told)
             if self._recording is not None:
@@ -97,25 +97,25 @@ class _RecorderProcess:
         self._maker.close()
 
     def _serve(self, terminals: TerminalSockets, wait_ns: int) -> None:
-        desk = self._desk
-        terminals.exchange(desk, wait_ns, self._now_ns)
-        desk.handle_time(self._now_ns())
-        while (event := desk.next_event()) is not None:
+        service = self._service
+        terminals.exchange(service, wait_ns, self._now_ns)
+        service.handle_time(self._now_ns())
+        while (event := service.next_event()) is not None:
             match event:
                 case Reply():
                     terminals.send(event.terminal, event.octets, last=event.last)
                 case Start():
-                    desk.handle_started(event, self._start(event))
+                    service.handle_started(event, self._start(event))
                 case Stop():
                     self._end()
-                    remove_wish(self._context.session)
-                    desk.handle_stopped(event, self._answer())
+                    remove_request(self._context.session)
+                    service.handle_stopped(event, self._answer())
                 case Ask():
-                    desk.handle_state(event, self._answer())
+                    service.handle_state(event, self._answer())
 
     def _start(self, start: Start) -> str:
         """Begin to record; why that is not possible, or ""."""
-        path = Path(start.wish.file)
+        path = Path(start.options.file)
         try:
             part_files.check_recordable(
                 path,
@@ -124,12 +124,12 @@ class _RecorderProcess:
             )
             part_files.check_disk(path, self._context.setup, part_files.LEAST_RECORDED_S)
             part_files.clear_parts(path)
-            write_wish(self._context.session, start.wish)
+            write_request(self._context.session, start.options)
         except ConfigError as error:
             return str(error)
         except OSError as error:
             return f"{path} cannot be written: {error.strerror}"
-        self._recording = _Recording(self._context, start.wish, self._maker)
+        self._recording = _Recording(self._context, start.options, self._maker)
         return ""
 
     def _end(self) -> None:
@@ -140,7 +140,7 @@ class _RecorderProcess:
 
     def _answer(self) -> RecordAnswer:
         recording = self._recording
-        counters = self._newest if recording is None else recording.figures
+        counters = self._newest if recording is None else recording.metrics
         return RecordAnswer(
             ok=True,
             file="" if recording is None else str(recording.file),
@@ -150,29 +150,29 @@ class _RecorderProcess:
             fault="" if recording is None else recording.fault,
         )
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         recording = self._recording
         probe = self._context.probe
-        probe.tell(self._past if recording is None else plus(self._past, recording.figures))
+        probe.publish(self._past if recording is None else plus(self._past, recording.metrics))
 
 
 class _Recording:
     """The topics and the files of one recording."""
 
-    def __init__(self, context: Context, wish: RecordingWish, maker: KeyPictureMaker) -> None:
+    def __init__(self, context: Context, options: RecordingOptions, maker: KeyPictureMaker) -> None:
         self._now_ns = context.clock.now_ns
         topology, setup = context.topology, context.setup
         offset_ns = context.clock.wall_offset_ns
         now_ns = self._now_ns()
         # Those of a session that is recorded from its start, and those that a killed recorder held.
-        self._since_ns = now_ns if wish.held else now_ns - EVENTS_LATE_NS
-        facts = RecordingFacts(
+        self._since_ns = now_ns if options.held else now_ns - EVENTS_LATE_NS
+        metadata = RecordingMetadata(
             session=context.session,
             setup=setup.name,
             setup_toml=setup_toml(setup),
             version=__version__,
             seed=context.seed,
-            command=wish.command,
+            command=options.command,
             part=1,
             session_ns=now_ns,
             wall_ns=now_ns + offset_ns,
@@ -181,17 +181,17 @@ class _Recording:
         )
         self._recorder = Recorder(
             topology,
-            facts,
+            metadata,
             wall_offset_ns=offset_ns,
-            link_frames=wish.link_frames,
-            limits=wish.limits,
+            link_frames=options.link_frames,
+            limits=options.limits,
         )
         self._maker = maker
         self._keys: dict[int, Future[bytes | None]] = {}
-        self._files = part_files.PartFiles(Path(wish.file))
+        self._files = part_files.PartFiles(Path(options.file))
         self._open_part()
         self._bus = context.open_bus()
-        sources = sources_of(topology, link_frames=wish.link_frames)
+        sources = sources_of(topology, link_frames=options.link_frames)
         self._readers = [
             (source, self._bus.reader(source.topic, depth=_DEPTH))
             for source in sources
@@ -216,14 +216,14 @@ class _Recording:
         return self._recorder.fault
 
     @property
-    def figures(self) -> RecorderFigures:
-        return self._recorder.figures(str(self.file))
+    def metrics(self) -> RecorderMetrics:
+        return self._recorder.metrics(str(self.file))
 
     def handle_events(self, told: bytes) -> None:
         """The launcher tells the figures, and what happened, also before the recording."""
         news = msgspec.json.decode(told, type=SessionEvents)
-        if news.figures:
-            self._recorder.handle_figures(news.figures, news.at_us * NS_PER_US, self._now_ns())
+        if news.metrics:
+            self._recorder.handle_metrics(news.metrics, news.at_us * NS_PER_US, self._now_ns())
         for event in news.events:
             at_ns = event.at_us * NS_PER_US
             if at_ns >= self._since_ns:
@@ -249,7 +249,7 @@ class _Recording:
         recorder.handle_time(self._now_ns())
         self._pump()
 
-    def end(self) -> RecorderFigures:
+    def end(self) -> RecorderMetrics:
         for _, reader in self._readers:
             reader.close()
         wait(self._keys.values(), _CLOSE_S)
@@ -260,7 +260,7 @@ class _Recording:
         self._take_results()
         self._recorder.handle_abandoned()
         self._bus.close()
-        told = self._recorder.figures(str(self.file))
+        told = self._recorder.metrics(str(self.file))
         return replace(told, recording=False, fault=None, waiting_octets=0)
 
     def _exchange_keys(self) -> None:

@@ -13,22 +13,22 @@ from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.fit import Fitter, scaled_aspect
-from pipelines.hand.haptic_loop import new_life, run_loop, session_ports
+from pipelines.hand.haptic_loop import new_boot_id, run_loop, session_ports
 from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.gain import LinkedVideoSender, gain_of
-from pipelines.media.stream_figures import tell_sender, to_gateway, video_sender, voice_sender
+from pipelines.media.stream_metrics import publish_sender, to_gateway, video_sender, voice_sender
 from pipelines.media.taking_over import Capturing
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked
-from pipelines.recording.figures import ReplayFigures
-from pipelines.recording.messages import SAMPLE
+from pipelines.recording.recorded_messages import SAMPLE
 from pipelines.recording.recorded_session import RecordedSession, SentPacket, SentUnit
+from pipelines.recording.recorder_metrics import ReplayMetrics
 from pipelines.recording.rows import Script, replay_topology
 from pipelines.session.datagrams import receive
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
 from telepresence.link.gateway import Backlog
@@ -68,13 +68,13 @@ class ReplayStart:
             cost_ns=cost_ns,
             now_ns=context.clock.now_ns(),
         )
-        context.probe.tell(ReplayFigures(items_left_out=script.left_out))
+        context.probe.publish(ReplayMetrics(items_left_out=script.left_out))
         return script
 
 
 def _wait_ns(now_ns: int, *dues_ns: int | None) -> int:
     waits_ns = [due_ns - now_ns for due_ns in dues_ns if due_ns is not None]
-    return max(0, min([PATIENCE_NS, *waits_ns]))
+    return max(0, min([TIMEOUT_NS, *waits_ns]))
 
 
 def run_video_replay(
@@ -87,7 +87,7 @@ def run_video_replay(
     linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
     outgoing = to_gateway(context, stream, sender)
     feedback = context.listen_media(context.topology.exit_port(row.feedback))
-    context.on_flush(lambda: tell_sender(context.probe, sender, linked.gain))
+    context.on_flush(lambda: publish_sender(context.probe, sender, linked.gain))
     script = start.script(context, units, _PICTURE_NS)
     with context.open_bus() as bus:
         sent, backlogs = SentTopic(bus, row.name, row.sent_topic), bus.reader(row.backlog_topic)
@@ -127,7 +127,7 @@ def run_recoded_camera(
     clock, size = context.clock, (stream.width, stream.height)
     decoder = VideoDecoder(units[0].codec if units else "h264")
     fitter, capturing = Fitter(*size), Capturing(context.probe)
-    context.on_flush(capturing.tell)
+    context.on_flush(capturing.publish)
     script = start.script(context, units, _CAPTURE_NS)
     with context.open_bus() as bus:
         writer = bus.writer(
@@ -157,7 +157,7 @@ def run_voice_replay(
     identity = RtpIdentity.draw(secrets.randbits)
     sender = voice_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
     outgoing = to_gateway(context, stream, sender)
-    context.on_flush(lambda: tell_sender(context.probe, sender))
+    context.on_flush(lambda: publish_sender(context.probe, sender))
     script = start.script(context, units, _SOUND_NS)
     while not context.stopping:
         now_ns = clock.now_ns()
@@ -190,7 +190,7 @@ def run_telemetry_replay(
     """
     now_ns = context.clock.now_ns()
     choice = CameraChoice(context.setup.cameras, context.probe, now_ns=now_ns)
-    context.on_flush(choice.tell)
+    context.on_flush(choice.publish)
     take = _listener(context, Segment.GROUND, choice)
     _run_packets(context, TELEMETRY, TELECOMMAND, packets, start, take)
 
@@ -204,9 +204,9 @@ def _listener(
         session_dictionary(built_in_dictionary(), context.topology),
         now_ns=context.clock.now_ns(),
         first_count=0,
-        life=0,
+        boot_id=0,
     )
-    context.on_flush(lambda: end.tell(context.probe))
+    context.on_flush(lambda: end.publish(context.probe))
 
     def drain(now_ns: int) -> None:
         while end.poll_transmit(now_ns) is not None:
@@ -255,7 +255,7 @@ def run_haptic_replay(
 ) -> None:
     """Send the recorded samples of an end, in a loop at 1 kHz."""
     time = start.time_of(context)
-    end = ReplayedEnd(rows, time, context.probe, robot=robot, life=new_life())
+    end = ReplayedEnd(rows, time, context.probe, robot=robot, boot_id=new_boot_id())
     ports = session_ports(context.topology, "robot" if robot else "joystick")
     run_loop(context, end, ports)
 
@@ -294,6 +294,6 @@ def replayed_session(
         assert process is not None
         scripts[process] = script(run, packets=recorded.packets.get(packets, []))
     # The radio's time 0 is the start of the recorded session, or else the first thing sent.
-    began_ns = recorded.facts.started_ns or start.recorded_ns
+    began_ns = recorded.metadata.started_ns or start.recorded_ns
     before_ns = round((start.recorded_ns - began_ns) / start.speed)
     return replay_topology(plain, scripts, recoded, radio_after_ns=start.lead_ns - before_ns)

@@ -10,7 +10,7 @@ from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram, RateMeter
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.arrivals import MOST_REORDER_NS
 from kontur_av.rtp.nal_formats import NAL_FORMATS
@@ -119,7 +119,7 @@ class SoundLine:
         """By how many ticks it came later than its timestamp says."""
         if self._stamp is None:
             return 0
-        return _arrival(packet) - self._due - signed(packet.timestamp - self._stamp)
+        return _arrival(packet) - self._due - serial_difference(packet.timestamp - self._stamp)
 
 
 def _arrival(packet: RtpReceived) -> int:
@@ -316,8 +316,8 @@ class ReceiveShell:
         if self._last_packet_ns is None:
             return False
         ended = self._receiver.ended
-        patience_ns = _SILENCE_AFTER_GOODBYE_NS if ended else _SILENCE_NS
-        return now_ns - self._last_packet_ns > patience_ns
+        timeout_ns = _SILENCE_AFTER_GOODBYE_NS if ended else _SILENCE_NS
+        return now_ns - self._last_packet_ns > timeout_ns
 
     def _note(self, now_ns: int) -> None:
         """Count the payload that has come since the last call."""

@@ -18,20 +18,20 @@ from kontur_av.media import BLOCK_NS, VIDEO_CODECS, VideoCodec
 from kontur_av.sources.instants import RisingInstants
 from kontur_av.streams.budget import Pacer
 from pipelines.recording.channels import RECEIVED, SENT
-from pipelines.recording.facts import RecordingFacts
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
-from pipelines.recording.messages import (
+from pipelines.recording.metadata import RecordingMetadata
+from pipelines.recording.recorded_messages import (
     AUDIO,
     HAPTIC_SAMPLES,
     NO_SAMPLE,
     SAMPLE,
     SPACE_PACKET,
-    UNIT_FACTS,
+    UNIT_METADATA,
     VIDEO,
     RecordedPacket,
     RecordedPicture,
     RecordedSound,
-    UnitFacts,
+    UnitMetadata,
     unpack,
     unpack_haptics,
 )
@@ -71,7 +71,7 @@ class RecordedSession:
     parts: its files.
     """
 
-    facts: RecordingFacts
+    metadata: RecordingMetadata
     parts: int = 1
     pictures: dict[str, list[SentUnit]] = field(default_factory=dict)
     voices: dict[str, list[SentUnit]] = field(default_factory=dict)
@@ -110,13 +110,13 @@ def read_session(recording: JoinedRecording) -> RecordedSession:
 
     Raises ProtocolError for one without its facts, or in which nothing was sent.
     """
-    if recording.facts is None:
+    if recording.metadata is None:
         raise ProtocolError("its facts are lost")
     messages: dict[str, list[JoinedMessage]] = defaultdict(list)
     for message in recording.messages():
         if _is_replayed(message):
             messages[message.topic].append(message)
-    session = _session(recording.facts, messages)
+    session = _session(recording.metadata, messages)
     session.parts = len(recording.parts)
     if not (session.pictures or session.voices or session.haptics or session.packets):
         raise ProtocolError("nothing that was sent is in it")
@@ -126,12 +126,14 @@ def read_session(recording: JoinedRecording) -> RecordedSession:
 def _is_replayed(found: JoinedMessage) -> bool:
     """Whether the message is needed: what was sent, and which pictures came."""
     way = found.topic.removesuffix("/facts").rpartition("/")[2]
-    video = found.schema in (VIDEO.full_name, UNIT_FACTS.full_name)
+    video = found.schema in (VIDEO.full_name, UNIT_METADATA.full_name)
     return (way == SENT and not found.topic.startswith("/link/")) or (way == RECEIVED and video)
 
 
-def _session(facts: RecordingFacts, messages: Mapping[str, list[JoinedMessage]]) -> RecordedSession:
-    session = RecordedSession(facts=facts)
+def _session(
+    metadata: RecordingMetadata, messages: Mapping[str, list[JoinedMessage]]
+) -> RecordedSession:
+    session = RecordedSession(metadata=metadata)
     for topic, found in messages.items():
         schema = found[0].schema
         instants = RisingInstants(BLOCK_NS if schema == AUDIO.full_name else _PICTURE_NS)
@@ -170,15 +172,15 @@ def _pictures(
     found: list[JoinedMessage], told: list[JoinedMessage], instants: RisingInstants
 ) -> list[SentUnit]:
     """The access units of a stream, without what the recorder has added to them."""
-    facts = defaultdict[tuple[int, int], deque[UnitFacts]](deque)
+    metadata = defaultdict[tuple[int, int], deque[UnitMetadata]](deque)
     for one in told:
-        facts[one.part, one.sequence].append(unpack(UnitFacts, one.data))
+        metadata[one.part, one.sequence].append(unpack(UnitMetadata, one.data))
     kept = []
     for one in found:
         picture = unpack(RecordedPicture, one.data)
         data = picture.data
         fact = None
-        if its := facts[one.part, one.sequence]:
+        if its := metadata[one.part, one.sequence]:
             # A key picture that the recorder put ahead has the number of the unit before.
             fact = its.popleft()
             if fact.added:

@@ -19,25 +19,25 @@ from kontur_av.codecs.black_key import black_key
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.recording.channels import RECORDER_LOSSES, Content, Source, channels_of
-from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
-from pipelines.recording.figures import RecordedChannel, RecorderFigures
 from pipelines.recording.mcap_stream import McapStream, Piece
-from pipelines.recording.messages import ChannelLoss, RecordedEvent, RecorderLosses, pack
+from pipelines.recording.metadata import LIBRARY, METADATA, RecordingMetadata
 from pipelines.recording.own_pictures import (
-    KEY_PATIENCE_NS,
+    KEY_TIMEOUT_NS,
     MOST_HELD_OCTETS,
     Begun,
     CameraCoder,
     KeyPictureWanted,
     StreamStart,
 )
+from pipelines.recording.recorded_messages import ChannelLoss, RecordedEvent, RecorderLosses, pack
+from pipelines.recording.recorder_metrics import RecordedChannel, RecorderMetrics
 from pipelines.recording.session_messages import (
     ChannelMessage,
     Figure,
     Instants,
     SessionMessages,
 )
-from pipelines.session.figures import SampleNumbers
+from pipelines.session.session_metrics import SampleNumbers
 from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Topology
 
@@ -88,20 +88,20 @@ class Recorder:
     Make the key pictures that `next_event` returns, and hand them to `handle_key_picture`.
     After `handle_end` take what is left.
 
-    facts: of the first part. wall_offset_ns: wall time less the session's clock.
+    metadata: of the first part. wall_offset_ns: wall time less the session's clock.
     """
 
     def __init__(
         self,
         topology: Topology,
-        facts: RecordingFacts,
+        metadata: RecordingMetadata,
         *,
         wall_offset_ns: int,
         link_frames: bool = False,
         limits: PartLimits | None = None,
         most_waiting_octets: int = MOST_WAITING_OCTETS,
     ) -> None:
-        self._facts, self._offset_ns = facts, wall_offset_ns
+        self._metadata, self._offset_ns = metadata, wall_offset_ns
         self._limits = limits or PartLimits()
         self._most_waiting_octets = most_waiting_octets
         rows = channels_of(topology, link_frames=link_frames)
@@ -194,9 +194,9 @@ class Recorder:
         while due and (until_ns is None or due[0][0].session_ns <= until_ns):
             self._put(self._told.of_event(*due.pop(0)))
 
-    def handle_figures(self, figures: Mapping[str, Figure], session_ns: int, now_ns: int) -> None:
+    def handle_metrics(self, metrics: Mapping[str, Figure], session_ns: int, now_ns: int) -> None:
         if self._stream is not None:
-            self._put([self._told.of_figures(figures, session_ns, now_ns)])
+            self._put([self._told.of_metrics(metrics, session_ns, now_ns)])
 
     def _handle_unit(
         self, source: Source, unit: CodedUnit, stamp: CaptureStamp, at: Instants
@@ -287,8 +287,10 @@ class Recorder:
         self._part, self._begun_ns = part, now_ns
         self._joined_ns = self._joined_ns or now_ns
         self._parts += 1
-        facts = replace(self._facts, part=part, session_ns=now_ns, wall_ns=now_ns + self._offset_ns)
-        stream.handle_metadata(FACTS, facts.items())
+        metadata = replace(
+            self._metadata, part=part, session_ns=now_ns, wall_ns=now_ns + self._offset_ns
+        )
+        stream.handle_metadata(METADATA, metadata.items())
         for schema, channel in self._records:
             stream.handle_channel(schema, channel)
         self._begun.clear()
@@ -342,7 +344,7 @@ class Recorder:
     def handle_time(self, now_ns: int) -> None:
         """Write the losses if they have changed. Call it at least once a second."""
         for held in list(self._held.values()):
-            if now_ns - held.at.now_ns >= KEY_PATIENCE_NS:
+            if now_ns - held.at.now_ns >= KEY_TIMEOUT_NS:
                 self._give_up(held)
         self._write_events(now_ns - EVENTS_LATE_NS)
         if self._stream is None or now_ns < self._losses_ns:
@@ -401,11 +403,11 @@ class Recorder:
 
     # Figures
 
-    def figures(self, file: str | None) -> RecorderFigures:
+    def metrics(self, file: str | None) -> RecorderMetrics:
         """Return what was kept and lost so far. file: the newest."""
         waiting = 0 if self._stream is None else self._stream.waiting_octets
         waiting += sum(held.octets for held in self._held.values())
-        return RecorderFigures(
+        return RecorderMetrics(
             parts=self._parts,
             octets=self._octets,
             disk_faults=self._faults,

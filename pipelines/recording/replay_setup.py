@@ -19,8 +19,8 @@ from pipelines.session.options import setup_changes
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.table import (
     GROUND_MIC,
-    ISS_CAMERA,
-    ISS_MIC,
+    OPERATOR_CAMERA,
+    OPERATOR_MIC,
     VIDEO_PAYLOAD_OCTETS,
     Setup,
     VideoStream,
@@ -29,7 +29,11 @@ from pipelines.session.setup.table import (
 
 _NOTHING: Mapping[str, object] = MappingProxyType({})
 #: The only input of each stream that a setup may leave out.
-_INPUTS = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
+_INPUTS = {
+    "uplink_voice": GROUND_MIC,
+    "downlink_video": OPERATOR_CAMERA,
+    "downlink_voice": OPERATOR_MIC,
+}
 
 
 def load_replay(
@@ -91,7 +95,7 @@ def recorded_setup(
     """
     try:
         setup = setup_from_text(
-            session.facts.setup_toml,
+            session.metadata.setup_toml,
             changes=changes,
             radio_start_s=_start_s(radio_start_s, session, changes),
         )
@@ -106,8 +110,8 @@ def recorded_setup(
 def _start_s(
     wanted_s: float | None, session: RecordedSession, changes: Mapping[str, object]
 ) -> float | None:
-    if wanted_s is None and not changes.get("radio") and session.facts.radio_start_s:
-        return session.facts.radio_start_s
+    if wanted_s is None and not changes.get("radio") and session.metadata.radio_start_s:
+        return session.metadata.radio_start_s
     return wanted_s
 
 
@@ -136,17 +140,17 @@ def _check_caps(
             speed=speed,
         )
         if needed_bps > stream.cap_bps:
-            mend = ", or --recode" if video else ""
+            fix = ", or --recode" if video else ""
             raise ConfigError(
                 f"{path}: {stream.name} needs a cap of {needed_bps / 1000:g} kbit/s, not "
                 f"{stream.cap_bps / 1000:g}: give --cap-kbps {stream.name}={needed_bps / 1000:g}"
-                f"{mend}"
+                f"{fix}"
             )
 
 
 def _recorded_streams(session: RecordedSession) -> tuple[VideoStream | VoiceStream, ...]:
     try:
-        return setup_from_text(session.facts.setup_toml, changes={"radio": "cable"}).streams
+        return setup_from_text(session.metadata.setup_toml, changes={"radio": "cable"}).streams
     except ConfigError:
         return ()
 

@@ -22,16 +22,16 @@ from mcap.records import Attachment, Channel, DataEnd, Footer, Header, Message, 
 from kontur_av.errors import ProtocolError
 from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY, unpacked_chunk
 from pipelines.recording import mcap_stream
-from pipelines.recording.facts import (
-    FACTS,
+from pipelines.recording.mcap_stream import McapStream
+from pipelines.recording.metadata import (
     LIBRARY,
-    MENDED,
-    RecordingFacts,
+    METADATA,
+    REPAIRED,
+    RecordingMetadata,
     is_sealed,
     needs_seal,
     sealed,
 )
-from pipelines.recording.mcap_stream import McapStream
 
 #: A longer record is damage.
 _MOST_RECORD_OCTETS = 1 << 40
@@ -46,7 +46,7 @@ _PRIVATE = 0x80
 #: What a chunk or one of our metadata records looks like, for the search after damage.
 _CANDIDATE: Final = re.compile(
     rb"\x06.{5}\0\0\0.{28}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0)"
-    rb"|\x0c.{6}\0\0.\0\0\0" + re.escape(FACTS.encode()),
+    rb"|\x0c.{6}\0\0.\0\0\0" + re.escape(METADATA.encode()),
     re.DOTALL,
 )
 
@@ -65,7 +65,7 @@ class FoundMessage(NamedTuple):
 
 
 @dataclass(slots=True)
-class ScanFigures:
+class ScanMetrics:
     """What a scan found.
 
     octets: of the file. holes: places that could not be read, (first octet, octet behind).
@@ -106,7 +106,7 @@ class Scan:
     def __init__(self, octets: memoryview) -> None:
         if bytes(octets[: len(mcap_stream.MAGIC)]) != mcap_stream.MAGIC:
             raise ProtocolError("it is not an MCAP file")
-        self.figures = ScanFigures(octets=len(octets))
+        self.metrics = ScanMetrics(octets=len(octets))
         self.header: Header | None = None
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -138,7 +138,7 @@ class Scan:
             if read is None:
                 found = self._next_confirmed()
                 begin = at if found is None or at < found else self._confirmed
-                self.figures.holes.append((begin, size if found is None else found))
+                self.metrics.holes.append((begin, size if found is None else found))
                 if found is None:
                     break
                 at = found
@@ -147,10 +147,10 @@ class Scan:
             at = read.end
             if read.checked:
                 self._confirmed = at
-            if self.figures.closed:
+            if self.metrics.closed:
                 break
-        figures = self.figures
-        figures.sound = figures.closed and figures.sound and not figures.holes
+        metrics = self.metrics
+        metrics.sound = metrics.closed and metrics.sound and not metrics.holes
 
     def _record(self, at: int) -> _Read | None:
         """The record at this octet, or None if it is not to be believed."""
@@ -222,7 +222,7 @@ class Scan:
         # A user's own has no check.
         if not checked and not self._is_followed(end):
             return None
-        if record.name == FACTS and (told := record.metadata.get("format")):
+        if record.name == METADATA and (told := record.metadata.get("format")):
             self.formats.add(told)
         # The check does not cover the length that stands before the record.
         return _Read([record], at + len(mcap_stream.octets_of(record)) if checked else end, checked)
@@ -238,7 +238,7 @@ class Scan:
 
     def _loose_message(self, begin: int, end: int) -> _Read | None:
         """A message outside of chunks: only in a file that another program wrote without chunks."""
-        if self.figures.chunks or end - begin < mcap_stream.MESSAGE.size:
+        if self.metrics.chunks or end - begin < mcap_stream.MESSAGE.size:
             return None
         message = self._message(begin, end, self._octets)
         # A copy of ours tells its channels first. Otherwise it is a damaged chunk.
@@ -266,9 +266,9 @@ class Scan:
         if channel is not None and channel.schema_id:
             schema = schemas.get(channel.schema_id) or self._loose_schemas.get(channel.schema_id)
         if channel is None or (channel.schema_id and schema is None):
-            self.figures.orphans += 1
+            self.metrics.orphans += 1
             return None
-        self.figures.messages += 1
+        self.metrics.messages += 1
         return FoundMessage(schema, channel, message)
 
     def _chunk(self, begin: int, end: int) -> list[FoundMessage] | None:
@@ -282,7 +282,7 @@ class Scan:
             for channel in self.channels.values()
             if FORMAT_KEY in channel.metadata
         }
-        self.figures.chunks += 1
+        self.metrics.chunks += 1
         found = (self._with_channel(each, self.channels, self.schemas) for each in messages)
         return [message for message in found if message is not None]
 
@@ -372,26 +372,26 @@ class Scan:
             octets[begin : size - len(mcap_stream.MAGIC) - mcap_stream.LENGTH_4.size]
         ):
             return False
-        self.figures.closed = True
+        self.metrics.closed = True
         crc = data_end.data_section_crc
-        self.figures.sound = not crc or crc == crc32(octets[:at])
+        self.metrics.sound = not crc or crc == crc32(octets[:at])
         return True
 
 
-def first_facts(octets: memoryview) -> RecordingFacts | None:
+def first_capabilities(octets: memoryview) -> RecordingMetadata | None:
     """Return the facts at the beginning of a recording, or None; ProtocolError as `Scan`."""
     for item in Scan(octets).items():
         if isinstance(item, FoundMessage):
             return None
-        if isinstance(item, Metadata) and item.name == FACTS:
-            return RecordingFacts.of(item.metadata)
+        if isinstance(item, Metadata) and item.name == METADATA:
+            return RecordingMetadata.of(item.metadata)
     return None
 
 
 class Recovery:
     """What can be read of a recording, as a file that any MCAP reader opens.
 
-    figures: what the scan of the torn file found. If they are `sound`, there is nothing to mend.
+    metrics: what the scan of the torn file found. If they are `sound`, there is nothing to fix.
 
     Raises ProtocolError for octets that are not an MCAP file, and as `refuse_foreign`.
     """
@@ -403,7 +403,7 @@ class Recovery:
             pass
         check_format(scan)
         refuse_foreign(scan)
-        self.figures = scan.figures
+        self.metrics = scan.metrics
 
     def pieces(self) -> Iterator[bytes]:
         """Yield the octets of the whole file, in order."""
@@ -434,10 +434,10 @@ class Recovery:
             if channel.id not in declared:
                 stream.handle_channel(scan.schemas.get(channel.schema_id), channel)
         names = ("octets", "unread_octets", "holes", "messages")
-        told = {name: getattr(self.figures, name) for name in names}
-        told["holes"] = len(self.figures.holes)
-        items = sealed(MENDED, {name: str(value) for name, value in told.items()})
-        stream.handle_metadata(MENDED, items)
+        told = {name: getattr(self.metrics, name) for name in names}
+        told["holes"] = len(self.metrics.holes)
+        items = sealed(REPAIRED, {name: str(value) for name, value in told.items()})
+        stream.handle_metadata(REPAIRED, items)
         stream.handle_end()
         yield from _waiting(stream)
 
@@ -446,7 +446,7 @@ def refuse_foreign(scan: Scan) -> None:
     """Raise ProtocolError if a scan that is done found no recording of ours, or nothing of it."""
     if scan.ours:
         return
-    if scan.figures.messages and not scan.library.startswith(LIBRARY.split()[0]):
+    if scan.metrics.messages and not scan.library.startswith(LIBRARY.split()[0]):
         raise ProtocolError(
             f"it was written by {scan.library or 'an unknown program'}, not by kontur-av: "
             "`kontur-av info` shows what is in it"

@@ -15,19 +15,19 @@ from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, rows_of
-from pipelines.link.figures import unpack_frames
-from pipelines.recording import messages
+from pipelines.link.link_metrics import unpack_frames
+from pipelines.recording import recorded_messages as messages
 from pipelines.recording.channels import (
     EVENTS,
     LOG_LINES,
     RECEIVED,
     SENT,
-    SESSION_FIGURES,
+    SESSION_METRICS,
     Content,
     Source,
 )
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, unpack
-from telepresence.link.figures import GatewayFigures
+from telepresence.link.link_metrics import GatewayMetrics
 
 #: A contact has ended when the tip was free for this long; shorter breaks are the tip's bounces.
 _FREE_NS = 50 * NS_PER_MS
@@ -89,7 +89,7 @@ class SessionMessages:
     def __init__(self, wall_offset_ns: int) -> None:
         self._offset_ns = wall_offset_ns
         self._contact = ContactWatch()
-        self._events = self._figures = 0
+        self._events = self._metrics = 0
         #: By topic of what is told at each change: the newest sample.
         self._shown: dict[str, bytes] = {}
         #: The figures that were told.
@@ -121,7 +121,7 @@ class SessionMessages:
             )
             told = [messages.pack(packet)]
         elif source.content is Content.GATEWAY:
-            found = msgspec.msgpack.decode(octets, type=GatewayFigures)
+            found = msgspec.msgpack.decode(octets, type=GatewayMetrics)
             state = found.supervision
             sent = messages.LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
             received = messages.LinkReceived.of(found.receive, state, session_ns=at_ns)
@@ -166,7 +166,7 @@ class SessionMessages:
         picture = messages.RecordedPicture(
             wall_ns=wall_ns, frame_id=source.name, data=data, format=unit.codec
         )
-        told = [messages.pack(picture), messages.pack(messages.UnitFacts.of(unit, stamp))]
+        told = [messages.pack(picture), messages.pack(messages.UnitMetadata.of(unit, stamp))]
         return _messages(source.channels, told, wall_ns, stamp.sequence, at)
 
     def of_key(
@@ -176,8 +176,8 @@ class SessionMessages:
         added = replace(unit, key=True, damaged=False)
         log_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns - _AHEAD_NS
         picture = messages.RecordedPicture(wall_ns=log_ns, frame_id=source.name, data=key)
-        facts = replace(messages.UnitFacts.of(added, stamp), octets=len(key), added=True)
-        told = [messages.pack(picture), messages.pack(facts)]
+        metadata = replace(messages.UnitMetadata.of(added, stamp), octets=len(key), added=True)
+        told = [messages.pack(picture), messages.pack(metadata)]
         return _messages(source.channels, told, log_ns, max(0, stamp.sequence - 1), at)
 
     def of_camera(
@@ -202,22 +202,22 @@ class SessionMessages:
         self._told = {}
         self._shown.clear()
 
-    def of_figures(
-        self, figures: Mapping[str, Figure], session_ns: int, now_ns: int
+    def of_metrics(
+        self, metrics: Mapping[str, Figure], session_ns: int, now_ns: int
     ) -> ChannelMessage:
         """Return those of the session's figures at `session_ns` that have changed."""
         before = self._told
         fresh = {
             name: value
-            for name, value in figures.items()
+            for name, value in metrics.items()
             if name not in before or before[name] != value
         }
         self._told = {**before, **fresh}
         changed = [messages.RecordedFigure.of(name, value) for name, value in fresh.items()]
-        told = messages.RecordedFigures(session_ns=session_ns, figures=changed)
-        self._figures += 1
+        told = messages.RecordedMetrics(session_ns=session_ns, metrics=changed)
+        self._metrics += 1
         at, wall_ns = Instants(now_ns, now_ns), session_ns + self._offset_ns
-        return ChannelMessage(SESSION_FIGURES, messages.pack(told), wall_ns, self._figures, at)
+        return ChannelMessage(SESSION_METRICS, messages.pack(told), wall_ns, self._metrics, at)
 
 
 def _messages(

@@ -42,8 +42,8 @@ def _shortcomings(report: SessionReport) -> Iterator[str]:
     for failure in report.failures:
         yield f'<p class="failed">failed: {escape(failure)}</p>'
     yield from table(
-        ("where", "measured", "mend"),
-        ((warning.where, warning.measured, warning.mend) for warning in report.warnings),
+        ("where", "measured", "fix"),
+        ((warning.where, warning.measured, warning.fix) for warning in report.warnings),
     )
 
 

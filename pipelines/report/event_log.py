@@ -10,19 +10,19 @@ from collections.abc import Iterator, Sequence
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
-from pipelines.mission.figures import ComponentFigures, TaskFigures
+from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
-from pipelines.session.figures import DatedEvent, Event, TrainerFigures
+from pipelines.session.session_metrics import DatedEvent, Event, TrainerMetrics
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.task_journal import KEPT, OPEN
 from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
 from pipelines.session.verdict import ProcessNow
-from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import JoystickFigures, RobotFigures
-from telepresence.haptics.ownership import OwnerEvent, OwnershipFigures
-from telepresence.link.figures import PeerFigures, SupervisionFigures
+from telepresence.haptics.authority import AuthorityEvent, AuthorityMetrics
+from telepresence.haptics.envelope import SafetyMetrics
+from telepresence.haptics.haptic_metrics import JoystickMetrics, RobotMetrics
+from telepresence.link.link_metrics import PeerMetrics, SupervisionMetrics
 from telepresence.tasks.experiment import RunStep
 
 #: How many events are kept.
@@ -111,23 +111,23 @@ class EventLog:
                 # Each kind for itself: a loss is dated back to the last frame before it.
                 for kind, record in _supervised(gateway.link.supervision).items():
                     yield from self._fresh("link", end, record, end, kind)
-            peer = gateway.find(PeerFigures)
+            peer = gateway.find(PeerMetrics)
             if peer is not None:
                 events = [(peer.begun_ns + event.at_ns, event.what) for event in peer.events]
                 yield from self._fresh("link", end, events, end, "path")
         process = self._collector.process
-        arm = process("robot").find(OwnershipFigures)
-        yield from self._dated("trainer", process(TRAINER).total(TrainerFigures).exercises)
+        arm = process("robot").find(AuthorityMetrics)
+        yield from self._dated("trainer", process(TRAINER).total(TrainerMetrics).exercises)
         yield from self._dated("robot", () if arm is None else arm.events)
-        yield from self._dated("robot", process("robot").total(SafetyFigures).events, "stop")
+        yield from self._dated("robot", process("robot").total(SafetyMetrics).events, "stop")
         # Events of users' components in telemetry, and their faults.
         for component in self._collector.topology.options.components:
             name = component.application.name
-            told = process(component_process(name)).total(ComponentFigures)
+            told = process(component_process(name)).total(ComponentMetrics)
             yield from self._dated(name, told.events, "telemetry")
 
     def _dated(
-        self, who: str, events: Sequence[DatedEvent | OwnerEvent], *kind: str
+        self, who: str, events: Sequence[DatedEvent | AuthorityEvent], *kind: str
     ) -> Iterator[tuple[int, str, str]]:
         record = [(event.at_ns, event.what) for event in events]
         return self._fresh("session", who, record, who, *kind)
@@ -144,7 +144,7 @@ class EventLog:
 
     def _tasks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
         """Selection, start and end of the runs of tasks."""
-        runs = self._collector.process(TASKS).total(TaskFigures).runs
+        runs = self._collector.process(TASKS).total(TaskMetrics).runs
         for _, row in sorted(runs.items())[-KEPT:]:
             at_ns = {one.step: one.at_ns for one in row.steps}
             result = f"{row.result}: {row.reason}" if row.reason else row.result
@@ -201,7 +201,7 @@ class EventLog:
         self._troubled = {process.name: process.trouble for process in processes}
 
     def _joysticks(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
-        joystick = self._collector.process("joystick").find(JoystickFigures)
+        joystick = self._collector.process("joystick").find(JoystickMetrics)
         if joystick is None:
             return
         now = joystick.state, joystick.reason
@@ -211,7 +211,7 @@ class EventLog:
             yield now_ns, "joystick", f"joystick: {state}" + (f" ({reason})" if reason else "")
 
     def _robots(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
-        robot = self._collector.process("robot").find(RobotFigures)
+        robot = self._collector.process("robot").find(RobotMetrics)
         before, self._fault = self._fault, "" if robot is None else robot.fault
         if self._fault != before:
             text = f"it is off: {self._fault}" if self._fault else "its fault is reset"
@@ -253,7 +253,7 @@ class EventLog:
                 self._live[process] = live
 
 
-def _supervised(supervision: SupervisionFigures) -> dict[str, list[tuple[int, str]]]:
+def _supervised(supervision: SupervisionMetrics) -> dict[str, list[tuple[int, str]]]:
     """By kind: instants and words of what a gateway's record has of signal and state."""
     begun_ns, contacts = supervision.begun_ns, supervision.contacts
     changes = [

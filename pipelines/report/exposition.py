@@ -4,7 +4,7 @@ The name of a metric is the way to its key in the report, with `_` for dots; uni
 Prometheus, seconds and bytes. A table in the report becomes a label:
 `streams.uplink_video.stale_ns` is `kontur_stream_stale_seconds_total{stream="uplink_video"}`, and
 `link.uplink.drops.full` is `kontur_link_drops_total{direction="uplink", drops="full"}`. What
-adds up over the lives of a process is a counter, all else a gauge. A text is a label of a gauge of
+adds up over the starts of a process is a counter, all else a gauge. A text is a label of a gauge of
 1. Lists are left out.
 """
 
@@ -19,7 +19,7 @@ import msgspec
 from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
-from kontur_av.figures import is_flat, marks_of
+from kontur_av.metrics import is_flat, marks_of
 from pipelines.report.model import SessionReport
 
 #: By table of the report: how its metrics begin, and the label of its rows.

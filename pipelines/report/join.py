@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
-from kontur_av.figures import marks_of, plus
-from pipelines.recording.figures import RecorderFigures
+from kontur_av.metrics import marks_of, plus
+from pipelines.recording.recorder_metrics import RecorderMetrics
 from pipelines.report import model
 from pipelines.report.collector import Collector
 from pipelines.report.sections import spread_ms
 from pipelines.report.session_report import skew_reports, stream_latency_ms
-from pipelines.report.sync_figures import sync_section
+from pipelines.report.sync_metrics import sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.trace import TRACED, rows_of
-from pipelines.session.figures import INSTANTS, ClockRow, DatedEvent, Row
 from pipelines.session.probe import FLUSH_NS, Message, Series
+from pipelines.session.session_metrics import INSTANTS, ClockRow, DatedEvent, Row
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from telepresence.link.clock_estimator import ClockHistory
@@ -268,15 +268,15 @@ def _stream(
     direction = collector.topology.media(name).direction
     sent = reports[direction.sender].streams[name]
     received = reports[direction.receiver].streams[name]
-    figures = collector.streams[name]
+    metrics = collector.streams[name]
     return msgspec.structs.replace(
         sent,
         side=None,
         **_received(received),
-        latency_ms=stream_latency_ms(figures),
+        latency_ms=stream_latency_ms(metrics),
         latency_error_ms=round(error_ns / NS_PER_MS, 3),
-        pauses_s=figures.pauses.within_s(*both_ran_ns),
-        capture_stamp_error_us=round(figures.stamp_error.max / 1000, 1),
+        pauses_s=metrics.pauses.within_s(*both_ran_ns),
+        capture_stamp_error_us=round(metrics.stamp_error.max / 1000, 1),
     )
 
 
@@ -289,13 +289,13 @@ def _haptic(
     direction = collector.topology.haptic(key).direction
     sent = reports[direction.sender].haptic[key]
     received = reports[direction.receiver].haptic[key]
-    figures = collector.haptics[key]
+    metrics = collector.haptics[key]
     return msgspec.structs.replace(
         sent,
         side=None,
         **_received(received),
-        latency_ms=spread_ms(figures.latency),
-        pauses_s=figures.pauses.within_s(*both_ran_ns),
+        latency_ms=spread_ms(metrics.latency),
+        pauses_s=metrics.pauses.within_s(*both_ran_ns),
     )
 
 
@@ -322,8 +322,8 @@ def _exercises(ends: Mapping[Segment, JoinedEnd]) -> list[DatedEvent] | None:
 
 
 def _recorder(
-    ground: RecorderFigures | None, space: RecorderFigures | None
-) -> RecorderFigures | None:
+    ground: RecorderMetrics | None, space: RecorderMetrics | None
+) -> RecorderMetrics | None:
     """Both recorders; the files of the two are named one after the other."""
     if ground is None or space is None:
         return ground or space
@@ -335,6 +335,6 @@ def _recorder(
     )
 
 
-def _named(recorder: RecorderFigures, end: str) -> RecorderFigures:
+def _named(recorder: RecorderMetrics, end: str) -> RecorderMetrics:
     channels = {f"{end}: {name}": channel for name, channel in recorder.channels.items()}
     return replace(recorder, channels=channels)

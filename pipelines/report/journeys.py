@@ -18,7 +18,7 @@ from kontur_av.meters import Histogram, RateMeter, rank_of
 from kontur_av.streams.lipsync import EARLIEST_NS, LATEST_NS
 from pipelines.report.model import LipSyncReport, SkewReport
 from pipelines.report.terms import LONGEST_GAP_NS, DelaySums
-from pipelines.session.figures import OutRow, Row, ShownRow
+from pipelines.session.session_metrics import OutRow, Row, ShownRow
 from telepresence.haptics.latency import LatencyMatcher
 
 #: This many latencies of a sense are remembered, to be compared with those of another one: 20 s of
@@ -193,7 +193,7 @@ class _Journey:
     packets: int = 0
 
 
-class StreamFigures:
+class StreamMetrics:
     """One media stream, from capture to display."""
 
     def __init__(self) -> None:
@@ -298,7 +298,7 @@ class StreamFigures:
         return {name: histogram.negative for name, histogram in every.items() if histogram.negative}
 
 
-class HapticFigures:
+class HapticMetrics:
     """One direction of the haptic samples, of so many octets each."""
 
     def __init__(self, sample_octets: int) -> None:

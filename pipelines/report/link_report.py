@@ -6,23 +6,23 @@ from functools import reduce
 from typing import TypeVar
 
 from kontur_av.clock import NS_PER_S, NS_PER_US
-from kontur_av.figures import plus
 from kontur_av.meters import Histogram
-from pipelines.link.figures import SocketFigures, WayInFigures
+from kontur_av.metrics import plus
+from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.report import model
 from pipelines.report.collector import Collector
 from pipelines.report.result import fitted_line
 from pipelines.report.sections import clock_words, cpu_report, process_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
-from pipelines.session.figures import LoopFigures
+from pipelines.session.session_metrics import LoopMetrics
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Direction, Segment
 from pipelines.session.verdict import ProcessNow, process_failures
-from telepresence.link.figures import (
-    PeerFigures,
-    ReceiverFigures,
-    SenderFigures,
-    SupervisionFigures,
+from telepresence.link.link_metrics import (
+    PeerMetrics,
+    ReceiverMetrics,
+    SenderMetrics,
+    SupervisionMetrics,
 )
 from telepresence.link.profile import LinkProfile
 
@@ -43,7 +43,7 @@ def build_link_report(
 ) -> model.LinkReport:
     """The whole report. With one end alone each direction lacks what the other end would count.
 
-    seconds: how long the link ran. cpu_s, restarts: of each process, over all its lives.
+    seconds: how long the link ran. cpu_s, restarts: of each process, over all its starts.
     processes: as the launcher knows them.
     """
     return model.LinkReport(
@@ -52,9 +52,9 @@ def build_link_report(
         ends=[end.value for end in ends],
         radio=model.LinkRadio(profile=collector.setup.radio_profile.name, seed=seed),
         link={
-            direction: link_figures(collector, direction) for direction in ("uplink", "downlink")
+            direction: link_metrics(collector, direction) for direction in ("uplink", "downlink")
         },
-        gateways={end.value: gateway_figures(collector, end.value) for end in ends},
+        gateways={end.value: gateway_metrics(collector, end.value) for end in ends},
         cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
         processes={
             name: process_report(collector.process(name), cpu_s[name], restarts[name])
@@ -76,7 +76,7 @@ class LinkView:
         self._setup = setup
         self._ends = ends
         #: By end: the figures of its last line.
-        self._seen = dict.fromkeys(ends, SenderFigures())
+        self._seen = dict.fromkeys(ends, SenderMetrics())
 
     def lines(self, collector: Collector, seconds: float, width: int | None = None) -> list[str]:
         """A line for each end; rates are those since the lines before.
@@ -90,8 +90,8 @@ class LinkView:
         ]
 
     def _end(self, collector: Collector, end: Segment, width: int | None) -> str:
-        figures = collector.gateway(end)
-        link = figures.link
+        metrics = collector.gateway(end)
+        link = metrics.link
         if link is None:
             return f"{end.value}: starting"
         profile = self._setup.profile(end.transmits)
@@ -100,16 +100,16 @@ class LinkView:
         self._seen[end] = sent
         state = _state(link.supervision)
         levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
-        strangers = sum(figures.total(SocketFigures).strangers.values())
+        unknown_senders = sum(metrics.total(SocketMetrics).unknown_senders.values())
         parts = [
             f"{end.value} {state}",
             f"heard {received.frames_received} frames, {received.frames_lost} lost",
-            f"{figures.total(LoopFigures).slips} slips",
+            f"{metrics.total(LoopMetrics).slips} slips",
             f"sends kbit/s {levels}",
         ]
-        if strangers:
-            parts.insert(3, f"{strangers} strangers")
-        peer = figures.find(PeerFigures)
+        if unknown_senders:
+            parts.insert(3, f"{unknown_senders} strangers")
+        peer = metrics.find(PeerMetrics)
         if peer is not None:
             parts.insert(1, peer_words(peer))
         if link.clock is not None:
@@ -117,11 +117,11 @@ class LinkView:
         return fitted_line(parts, width, gap=", ")
 
 
-def _rates_kbps(sent: SenderFigures, seen: SenderFigures, profile: LinkProfile) -> dict[str, float]:
+def _rates_kbps(sent: SenderMetrics, seen: SenderMetrics, profile: LinkProfile) -> dict[str, float]:
     # Time is counted in slots of the link, so the rate is exact even if the figures come late. A
     # restarted gateway counts from 0.
     if sent.frames < seen.frames:
-        seen = SenderFigures()
+        seen = SenderMetrics()
     seconds = max(1, sent.frames - seen.frames) * profile.slot_ns / NS_PER_S
     return {
         name: 8 * (sent.octets.get(name, 0) - seen.octets.get(name, 0)) / (1000 * seconds)
@@ -143,7 +143,7 @@ def summary_lines(report: model.LinkReport) -> list[str]:
     lines.append(f"CPU: {cpu.total_s:.1f} s, {cpu.cores_used:.2f} of a core")
     lines += [f"failed: {failure}" for failure in report.failures]
     for warning in report.warnings:
-        lines.append(f"warning: {warning.where}: {warning.measured}; {warning.mend}")
+        lines.append(f"warning: {warning.where}: {warning.measured}; {warning.fix}")
     return lines
 
 
@@ -177,8 +177,8 @@ def _direction(direction: str, link: model.DirectionReport) -> list[str]:
     return lines
 
 
-def _state(supervision: SupervisionFigures) -> str:
-    """The present state; with its reason if somebody has to mend it."""
+def _state(supervision: SupervisionMetrics) -> str:
+    """The present state; with its reason if somebody has to fix it."""
     state = supervision.state
     return f"{state} ({supervision.why})" if state in ("check", "refused") else state
 
@@ -211,8 +211,10 @@ def end_line(end: str, gateway: model.GatewayReport) -> str:
     contact_s = 0.0 if supervision is None else supervision.contact_ns / NS_PER_S
     state = "never ran" if supervision is None else _state(supervision)
     line = f"{end}: {state}, {contact_s:.1f} s of signal in {contacts} contacts"
-    if gateway.sockets.strangers:
-        counts = ", ".join(f"{name} {count}" for name, count in gateway.sockets.strangers.items())
+    if gateway.sockets.unknown_senders:
+        counts = ", ".join(
+            f"{name} {count}" for name, count in gateway.sockets.unknown_senders.items()
+        )
         line += f"; from strangers: {counts}"
     if gateway.sockets.unsent:
         line += f"; {gateway.sockets.unsent} frames not sent"
@@ -222,13 +224,13 @@ def end_line(end: str, gateway: model.GatewayReport) -> str:
 RecordT = TypeVar("RecordT")
 
 
-def link_figures(collector: Collector, direction: str) -> model.DirectionReport:
+def link_metrics(collector: Collector, direction: str) -> model.DirectionReport:
     """One direction of the link, from what its two gateways have reported."""
     setup = collector.setup
     link = collector.topology.link(Direction(direction))
     near, far = collector.process(link.sender), collector.process(link.receiver)
-    sent = _all_lives(SenderFigures(), [life.transmit for life in near.links()])
-    received = _all_lives(ReceiverFigures(), [life.receive for life in far.links()])
+    sent = _all_boots(SenderMetrics(), [boot_id.transmit for boot_id in near.links()])
+    received = _all_boots(ReceiverMetrics(), [boot_id.receive for boot_id in far.links()])
     need, profile = setup.need(link.direction), setup.profile(link.direction)
     return model.DirectionReport(
         # Known even if the sender is on another machine.
@@ -249,15 +251,15 @@ def link_figures(collector: Collector, direction: str) -> model.DirectionReport:
         octets_percent=ledger_percent(sent.octets),
         lateness_us=punctuality_us(near.lateness),
         sent_after_us=punctuality_us(near.sending),
-        loop=near.total(LoopFigures),
+        loop=near.total(LoopMetrics),
     )
 
 
-def _all_lives(nothing: RecordT, lives: Sequence[RecordT]) -> RecordT:
+def _all_boots(nothing: RecordT, lives: Sequence[RecordT]) -> RecordT:
     return reduce(plus, lives[1:], lives[0]) if lives else nothing
 
 
-def _freed_bps(profile: LinkProfile, sent: SenderFigures) -> int:
+def _freed_bps(profile: LinkProfile, sent: SenderMetrics) -> int:
     """The rate (bit/s) that slots without a sample left to the levels below haptics."""
     freed_octets = sent.frames * profile.insert_octets - sent.octets.get("haptic", 0)
     return round(freed_octets * 8 * NS_PER_S / max(sent.frames * profile.slot_ns, 1))
@@ -277,29 +279,29 @@ def ledger_percent(octets: Mapping[str, int]) -> dict[str, float]:
     return {kind: (whole + (kind in losers)) / 100 for kind, (whole, _) in shares.items()}
 
 
-def gateway_figures(collector: Collector, end: str) -> model.GatewayReport:
-    """What only this end knows: the link of its last life, and its sockets."""
-    figures = collector.gateway(Segment(end))
-    last = next(reversed(list(figures.links())), None)
+def gateway_metrics(collector: Collector, end: str) -> model.GatewayReport:
+    """What only this end knows: the link of its last start, and its sockets."""
+    metrics = collector.gateway(Segment(end))
+    last = next(reversed(list(metrics.links())), None)
     return model.GatewayReport(
         supervision=None if last is None else last.supervision,
         radio=None if last is None else last.radio,
-        sockets=figures.total(SocketFigures),
+        sockets=metrics.total(SocketMetrics),
         clock=None if last is None else last.clock,
-        peer=figures.find(PeerFigures),
-        way_in=figures.find(WayInFigures),
+        peer=metrics.find(PeerMetrics),
+        way_in=metrics.find(WayInMetrics),
     )
 
 
-def peer_words(figures: PeerFigures) -> str:
+def peer_words(metrics: PeerMetrics) -> str:
     """The state of the path to the other machine, in a few words."""
-    found = figures.address or "nobody has called"
-    words = f"{'no session' if figures.session_ns is None else 'path'} {found}"
-    dropped = sum(figures.dropped.values())
+    found = metrics.address or "nobody has called"
+    words = f"{'no session' if metrics.session_ns is None else 'path'} {found}"
+    dropped = sum(metrics.dropped.values())
     if dropped:
-        reason = max(figures.dropped, key=lambda name: figures.dropped[name])
+        reason = max(metrics.dropped, key=lambda name: metrics.dropped[name])
         words += f", {dropped} datagrams dropped (most: {reason})"
-    return words if figures.protected else f"NOT PROTECTED, {words}"
+    return words if metrics.protected else f"NOT PROTECTED, {words}"
 
 
 def punctuality_us(histogram: Histogram) -> model.Punctuality:

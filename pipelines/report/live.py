@@ -17,7 +17,7 @@ from kontur_av.meters import Histogram
 from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
 from pipelines.report.collector import Collector
-from pipelines.report.journeys import StreamFigures
+from pipelines.report.journeys import StreamMetrics
 from pipelines.report.link_report import LinkView, peer_words
 from pipelines.report.report_file import WordsConsole
 from pipelines.report.result import fitted_line, fitted_table
@@ -30,8 +30,8 @@ from pipelines.session.launcher import Launcher
 from pipelines.session.session_switch import Activity
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import HapticRow
-from telepresence.haptics.figures import SamplesReceived
-from telepresence.link.figures import PeerFigures
+from telepresence.haptics.haptic_metrics import SamplesReceived
+from telepresence.link.link_metrics import PeerMetrics
 
 #: The columns, with the rank by which they are left out on a narrow terminal.
 _COLUMNS = {
@@ -121,7 +121,7 @@ def path_line(collector: Collector) -> str:
     alone = collector.topology.alone
     if alone is None:
         return ""
-    peer = collector.gateway(alone).find(PeerFigures)
+    peer = collector.gateway(alone).find(PeerMetrics)
     return f"{alone.value} end alone: {'starting' if peer is None else peer_words(peer)}"
 
 
@@ -141,20 +141,20 @@ def streams_table(launcher: Launcher, collector: Collector, width: int) -> Table
 def _stream_row(
     launcher: Launcher, collector: Collector, stream: VideoStream | VoiceStream
 ) -> list[str | Text]:
-    figures = collector.streams[stream.name]
+    metrics = collector.streams[stream.name]
     row = collector.topology.media(stream.name)
     side = collector.topology.side_here(row)
-    newest = latency_ms(figures)
-    largest = figures.rate.max_bps(NS_PER_S)
+    newest = latency_ms(metrics)
+    largest = metrics.rate.max_bps(NS_PER_S)
     cells: list[str | Text] = [
         stream.name,
-        f"{last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}",
-        Text(f"{largest / 1000:.1f}", "bold red" if figures.above_cap_bps[0] > 0 else "green"),
+        f"{last_bps(metrics.rate, launcher.clock.now_ns()) / 1000:.1f}",
+        Text(f"{largest / 1000:.1f}", "bold red" if metrics.above_cap_bps[0] > 0 else "green"),
         f"{stream.cap_bps / 1000:g}",
         str(collector.shown(stream.name).frames_displayed),
         str(collector.received(stream.name).rtp_lost),
-        NO_SAMPLE if newest is None else f"{newest:.1f}{_error(figures)}",
-        _percentile_ms(figures.latency, 99),
+        NO_SAMPLE if newest is None else f"{newest:.1f}{_error(metrics)}",
+        _percentile_ms(metrics.latency, 99),
         _age(launcher, collector, stream),
     ]
     return _known(cells, sent=(1, 2), came=(4, 5), side=side)
@@ -169,26 +169,26 @@ def _known(
 
 
 def _haptic_row(launcher: Launcher, collector: Collector, row: HapticRow) -> list[str | Text]:
-    figures = collector.haptics[row.key]
+    metrics = collector.haptics[row.key]
     samples = collector.process(row.receiver).total(SamplesReceived)
     profile = launcher.setup.profile(row.direction)
     cells: list[str | Text] = [
         f"haptic_{row.key}",
-        f"{last_bps(figures.rate, launcher.clock.now_ns()) / 1000:.1f}",
+        f"{last_bps(metrics.rate, launcher.clock.now_ns()) / 1000:.1f}",
         "",
         f"{haptic_cap_bps(profile) / 1000:g}",
         str(samples.received),
         str(samples.lost),
-        _percentile_ms(figures.latency, 50),
-        _percentile_ms(figures.latency, 99),
+        _percentile_ms(metrics.latency, 50),
+        _percentile_ms(metrics.latency, 99),
         "",
     ]
     return _known(cells, sent=(), came=(1, 4, 5), side=collector.topology.side_here(row))
 
 
-def _error(figures: StreamFigures) -> str:
+def _error(metrics: StreamMetrics) -> str:
     """How far a latency between two machines may be wrong, in ms; empty on one machine."""
-    return f" ± {figures.error_ns / NS_PER_MS:.1f}" if figures.error_ns else ""
+    return f" ± {metrics.error_ns / NS_PER_MS:.1f}" if metrics.error_ns else ""
 
 
 def _percentile_ms(histogram: Histogram, percent: float) -> str:
@@ -248,12 +248,12 @@ def _line(launcher: Launcher, collector: Collector) -> str:
     parts = [f"{launcher.seconds:6.1f} s"]
     topology, now_ns = collector.topology, launcher.clock.now_ns()
     for stream in launcher.setup.streams:
-        figures = collector.streams[stream.name]
-        sent = f" {last_bps(figures.rate, now_ns) / 1000:.1f}/{stream.cap_bps / 1000:g} kbit/s"
+        metrics = collector.streams[stream.name]
+        sent = f" {last_bps(metrics.rate, now_ns) / 1000:.1f}/{stream.cap_bps / 1000:g} kbit/s"
         lost = collector.received(stream.name).rtp_lost
         came = f" {collector.shown(stream.name).frames_displayed} shown {lost} lost"
-        newest = latency_ms(figures)
-        late = f" {NO_SAMPLE if newest is None else f'{newest:.0f}'}{_error(figures)} ms"
+        newest = latency_ms(metrics)
+        late = f" {NO_SAMPLE if newest is None else f'{newest:.0f}'}{_error(metrics)} ms"
         known = {None: sent + came + late, "sender": sent, "receiver": came + late}
         parts.append(stream.name + known[topology.side_here(topology.media(stream.name))])
         state, age_ns = shown_now(stream, collector, now_ns)

@@ -1,7 +1,7 @@
 """The reports of all commands, as types, and their one way to JSON and back.
 
 What processes count is declared where it is counted, and a report holds those records themselves
-(`kontur_av.figures`). In JSON the figures of a `Flat` record stand among those of the report that
+(`kontur_av.metrics`). In JSON the figures of a `Flat` record stand among those of the report that
 holds it. Declared here is what only a report says.
 
 A `#:` comment above a field says what it is; the tables of the keys in docs/report.md are made from
@@ -20,38 +20,38 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 import msgspec
 
 from kontur_av.codecs.decoder import DecoderCounts
-from kontur_av.figures import Flat, is_flat
+from kontur_av.metrics import Flat, is_flat
 from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.link.figures import SocketFigures, WayInFigures
-from pipelines.media.figures import CodingCosts, DisplayFigures, GainFigures
-from pipelines.mission.figures import ComponentFigures
-from pipelines.partner.figures import RtcFigures
-from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
-from pipelines.session.figures import DatedEvent, LoopFigures, Report
+from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
+from pipelines.media.media_metrics import CodingCosts, DisplayMetrics, GainMetrics
+from pipelines.mission.mission_metrics import ComponentMetrics
+from pipelines.partner.partner_metrics import RtcMetrics
+from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
+from pipelines.session.session_metrics import DatedEvent, LoopMetrics, Report
 from pipelines.session.task_journal import TaskRow
-from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import (
-    JoystickFigures,
-    OperationFigures,
-    PortFigures,
-    RobotFigures,
+from telepresence.haptics.authority import AuthorityMetrics
+from telepresence.haptics.envelope import SafetyMetrics
+from telepresence.haptics.haptic_metrics import (
+    JoystickMetrics,
+    OperationMetrics,
+    PortMetrics,
+    RobotMetrics,
     SamplesReceived,
     SamplesSent,
 )
-from telepresence.haptics.ownership import OwnershipFigures
-from telepresence.link.figures import (
-    ChannelFigures,
-    ClockFigures,
+from telepresence.link.link_metrics import (
+    ChannelMetrics,
+    ClockMetrics,
     ContactWindows,
-    PathFigures,
-    PeerFigures,
-    ReceiverFigures,
-    SenderFigures,
-    SupervisionFigures,
+    PathMetrics,
+    PeerMetrics,
+    ReceiverMetrics,
+    SenderMetrics,
+    SupervisionMetrics,
 )
 
 T = TypeVar("T")
@@ -101,7 +101,7 @@ class StreamReport(Report, frozen=True, kw_only=True):
     cap_bps: int
     #: What samples left out added to the cap, on average.
     gained_bps: int | None = None
-    gain: Flat[GainFigures] | None = None
+    gain: Flat[GainMetrics] | None = None
     #: Width and height as captured and displayed; of pictures only.
     size: tuple[int, int] | None = None
     #: Width and height as coded.
@@ -119,7 +119,7 @@ class StreamReport(Report, frozen=True, kw_only=True):
     voice: Received[Flat[VoiceReceiverCounts]] | None = None
     #: Of pictures only.
     decoder: Received[Flat[DecoderCounts]] | None = None
-    display: Received[Flat[DisplayFigures]]
+    display: Received[Flat[DisplayMetrics]]
     displayed_hz: Received[float]
     stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.
@@ -169,11 +169,11 @@ class HapticReport(Report, frozen=True, kw_only=True):
     #: How late the sender's cycles of 1 ms began.
     lateness_us: Punctuality
     #: Cycles of the sender.
-    loop: Flat[LoopFigures]
+    loop: Flat[LoopMetrics]
     #: The haptic port at the sender, and its passivity controller.
-    port: PortFigures
+    port: PortMetrics
     #: The same of each axis behind x and y.
-    axes: dict[str, PortFigures] | None = None
+    axes: dict[str, PortMetrics] | None = None
 
 
 class NeedReport(Report, frozen=True, kw_only=True):
@@ -197,7 +197,7 @@ class LineReport(Report, frozen=True, kw_only=True):
 
 
 class DirectionReport(Report, frozen=True, kw_only=True):
-    """One direction of the link, of all lives of its two gateways."""
+    """One direction of the link, of all starts of its two gateways."""
 
     #: What is left below haptics.
     below_haptics_bps: int
@@ -205,8 +205,8 @@ class DirectionReport(Report, frozen=True, kw_only=True):
     needed_at_caps_bps: NeedReport
     #: The same, line by line.
     arithmetic: list[LineReport]
-    sender: Flat[SenderFigures]
-    receiver: Received[Flat[ReceiverFigures]]
+    sender: Flat[SenderMetrics]
+    receiver: Received[Flat[ReceiverMetrics]]
     #: Mean rate that slots without a sample freed.
     freed_bps: int
     #: Shares of all octets sent.
@@ -216,25 +216,25 @@ class DirectionReport(Report, frozen=True, kw_only=True):
     #: From a slot's deadline until its frame had been sent.
     sent_after_us: Punctuality
     #: Slots of the sender.
-    loop: Flat[LoopFigures]
+    loop: Flat[LoopMetrics]
 
 
 class GatewayReport(Report, frozen=True, kw_only=True):
-    """One end of the link: its link of the last life, its sockets of all lives."""
+    """One end of the link: its link of the last start, its sockets of all starts."""
 
-    supervision: SupervisionFigures | None = None
+    supervision: SupervisionMetrics | None = None
     #: What the radio did to the frames of this end.
-    radio: PathFigures | None = None
-    sockets: Flat[SocketFigures]
+    radio: PathMetrics | None = None
+    sockets: Flat[SocketMetrics]
     #: Of two machines only.
-    peer: PeerFigures | None = None
+    peer: PeerMetrics | None = None
     #: Of two machines only.
-    clock: ClockFigures | None = None
+    clock: ClockMetrics | None = None
     #: The radio on the way in; only where `--trainer` put both directions at this end.
-    way_in: Flat[WayInFigures] | None = None
+    way_in: Flat[WayInMetrics] | None = None
 
     @property
-    def channel(self) -> ChannelFigures | None:
+    def channel(self) -> ChannelMetrics | None:
         return None if self.radio is None else self.radio.channel
 
     @property
@@ -386,7 +386,7 @@ class CpuReport(Report, frozen=True, kw_only=True):
 
 
 class ProcessReport(Report, frozen=True, kw_only=True):
-    """One process, over all its lives."""
+    """One process, over all its starts."""
 
     #: The newest values of what it tells and what does not add up.
     newest: Flat[dict[str, int | float | str | bool]]
@@ -414,8 +414,8 @@ class Warning(Report, frozen=True, kw_only=True):
     where: str
     #: What was measured, in words.
     measured: str
-    #: What mends it.
-    mend: str
+    #: What fixes it.
+    fix: str
 
 
 class ReplayedStream(Report, frozen=True, kw_only=True):
@@ -475,14 +475,14 @@ class SecondArmReport(Report, frozen=True, kw_only=True):
 
     sender: Flat[SamplesSent]
     receiver: Flat[SamplesReceived]
-    port: Flat[PortFigures]
+    port: Flat[PortMetrics]
 
 
 class RtcShownReport(Report, frozen=True, kw_only=True):
     """What was shown or heard of a partner."""
 
     #: Pictures, or blocks of 20 ms of voice.
-    display: Flat[DisplayFigures]
+    display: Flat[DisplayMetrics]
     #: From capture to display, above the network's least delay of the last 30 s: the partner's
     #: clock is unknown.
     latency_ms: Spread
@@ -491,8 +491,8 @@ class RtcShownReport(Report, frozen=True, kw_only=True):
 class RtcReport(Report, frozen=True, kw_only=True):
     """The leg to a partner across the Internet."""
 
-    figures: Flat[RtcFigures]
-    #: By stream of `figures`.
+    metrics: Flat[RtcMetrics]
+    #: By stream of `metrics`.
     mean_bps: dict[str, int]
     #: `rtc_camera` and `rtc_voice`.
     shown: dict[str, RtcShownReport]
@@ -547,7 +547,7 @@ class SessionReport(Report, frozen=True, kw_only=True):
     #: `up` and `down`.
     haptic: dict[str, HapticReport]
     #: A real joystick; null with the simulated one.
-    joystick: JoystickFigures | None
+    joystick: JoystickMetrics | None
     #: `uplink` and `downlink`.
     link: dict[str, DirectionReport]
     #: `ground` and `space`, those that ran here.
@@ -567,28 +567,28 @@ class SessionReport(Report, frozen=True, kw_only=True):
     #: failed, values of this report were lost, or a process did not do its work: it hung, did not
     #: come up, was started again more than twice, or ended without a reason.
     failures: list[str]
-    #: What made the session worse than need be, and its mend.
+    #: What made the session worse than need be, and its fix.
     warnings: list[Warning]
     #: Who drove the robot; only where a partner may, too.
-    arm: OwnershipFigures | None = None
+    arm: AuthorityMetrics | None = None
     #: What let the robot follow the hand or held it; of the robot's end.
-    safety: SafetyFigures | None = None
+    safety: SafetyMetrics | None = None
     #: The robot; of its end.
-    robot: RobotFigures | None = None
+    robot: RobotMetrics | None = None
     #: The arm that only a partner drives.
     second_arm: SecondArmReport | None = None
     #: What the trainer did, oldest first.
     exercises: list[DatedEvent] | None = None
     #: The recording.
-    recorder: RecorderFigures | None = None
+    recorder: RecorderMetrics | None = None
     #: Clients of `--foxglove`.
-    foxglove: FoxgloveFigures | None = None
+    foxglove: FoxgloveMetrics | None = None
     #: The leg to a partner.
     rtc: RtcReport | None = None
     #: The runs of tasks, oldest first; only with a plan.
     tasks: list[TaskRow] | None = None
     #: Components in telemetry.
-    telemetry: dict[str, ComponentFigures] | None = None
+    telemetry: dict[str, ComponentMetrics] | None = None
     #: What `report join` needs; of one end alone.
     trace: EndTrace | None = None
     #: Of `simulate` only.
@@ -650,7 +650,7 @@ class CheckReport(Report, frozen=True, kw_only=True):
     trouble: str
     #: What the device lacks for it; empty if nothing.
     skipped: str
-    figures: list[FigureReport]
+    metrics: list[FigureReport]
 
 
 class TransitionReport(Report, frozen=True, kw_only=True):
@@ -676,7 +676,7 @@ class JoystickTestReport(Report, frozen=True, kw_only=True):
     #: Whether every check was done, and none failed.
     passed: bool
     checks: list[CheckReport]
-    joystick: OperationFigures
+    joystick: OperationMetrics
     transitions: list[TransitionReport]
 
 

@@ -9,11 +9,11 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 from kontur_av.clock import NS_PER_S
 from pipelines.report.exposition import Exposition
-from pipelines.session.figures import MonitoredSession
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.session_metrics import MonitoredSession
 from pipelines.session.topology import METRICS
-from pipelines.session.web_site import SHUTDOWN_S, FrontDoor, quiet_log
+from pipelines.session.web_site import SHUTDOWN_S, ConnectionGate, quiet_log
 
 #: The launcher tells the figures every two seconds.
 _LATE_NS = 10 * NS_PER_S
@@ -37,16 +37,16 @@ class _MetricsServer:
         server = web.Server(self._handle, access_log=None, logger=quiet_log("pipelines.report"))
         runner = web.ServerRunner(server, shutdown_timeout=SHUTDOWN_S)
         await runner.setup()
-        self._door = FrontDoor(self._context.pages[METRICS], server, None)
-        self._door.start()
+        self._gate = ConnectionGate(self._context.pages[METRICS], server, None)
+        self._gate.start()
         try:
             await serving.run()
         finally:
-            self._door.close()
+            self._gate.close()
             await runner.cleanup()
 
     def _take(self) -> None:
-        while (text := self._context.receive_figures()) is not None:
+        while (text := self._context.receive_metrics()) is not None:
             told = msgspec.json.decode(text, type=MonitoredSession)
             self._exposition.report = msgspec.json.decode(told.report)
             self._exposition.problems = told.problems
@@ -55,7 +55,7 @@ class _MetricsServer:
     async def _handle(self, request: web.BaseRequest) -> web.Response:
         if request.method not in ("GET", "HEAD"):
             return web.Response(status=HTTPStatus.METHOD_NOT_ALLOWED, headers={"Allow": "GET"})
-        self._door.handle_known(request.transport, watches=True)
+        self._gate.handle_known(request.transport, watches=True)
         if request.path == "/metrics":
             headers = {"Content-Type": CONTENT_TYPE_LATEST}
             return web.Response(body=self._exposition.text(), headers=headers)

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipelines.report.model import to_builtins
-from pipelines.session.figures import Report
+from pipelines.session.session_metrics import Report
 
 #: What stands between two parts of a line.
 _GAP = "   "

@@ -6,20 +6,20 @@ from typing import Literal
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from pipelines.recording.figures import FoxgloveFigures, RecorderFigures
+from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.model import EndTrace, SessionReport, to_json
-from pipelines.report.seat_figures import SeatFigures
+from pipelines.report.seat_metrics import SeatMetrics
 from pipelines.report.session_report import build_report
-from pipelines.seats.figures import PageFigures
-from pipelines.session.figures import (
+from pipelines.seats.page_metrics import PageMetrics
+from pipelines.session.launcher import Child, Launcher, launcher_cpu_s
+from pipelines.session.session_metrics import (
     Event,
-    LoopFigures,
+    LoopMetrics,
     MonitoredSession,
     ProcessState,
     SessionEvents,
 )
-from pipelines.session.launcher import Child, Launcher, launcher_cpu_s
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import (
     CONSOLE,
@@ -32,7 +32,7 @@ from pipelines.session.topology import (
 from pipelines.session.verdict import ProcessNow
 
 #: Ends that meet again may take so long.
-PATIENCE_NS = 10 * NS_PER_S
+TIMEOUT_NS = 10 * NS_PER_S
 
 
 def without_contact(report: SessionReport, start_s: float, now_ns: int) -> Iterator[str]:
@@ -52,7 +52,7 @@ def without_contact(report: SessionReport, start_s: float, now_ns: int) -> Itera
                 continue
             due_ns = round((pass_s - windows.acquisition_s) * NS_PER_S)
             silent_ns = min(silent_ns, due_ns)
-        if silent_ns > PATIENCE_NS:
+        if silent_ns > TIMEOUT_NS:
             seconds = silent_ns // NS_PER_S
             yield f"{end}: no contact for {seconds} s, though it is due: {told.why}"
 
@@ -105,15 +105,15 @@ def session_report(launcher: Launcher, collector: Collector) -> SessionReport:
 class SeatFeed:
     """Makes a message for each page process while somebody watches its pages.
 
-    Each life of a page process is sent every event once. So are the recorder while it records, and
+    Each start of a page process is sent every event once. So are the recorder while it records, and
     the bridge to Foxglove while it has clients, with the figures once a second. Monitoring and ROS
     2 systems get the report so far every two seconds.
     """
 
     def __init__(self, collector: Collector) -> None:
-        self._figures = SeatFigures(collector)
+        self._metrics = SeatMetrics(collector)
         #: What happened, and what a systems operator must know now.
-        self.log = self._figures.log
+        self.log = self._metrics.log
         self._collector = collector
         #: By page process: its life, and the newest event that it was sent.
         self._told: dict[str, tuple[int | None, int]] = {}
@@ -127,7 +127,7 @@ class SeatFeed:
 
     def poll_messages(self, launcher: Launcher, now_ns: int) -> dict[str, bytes]:
         """Return the messages of now; none while nobody watches."""
-        self._figures.handle_look(
+        self._metrics.handle_look(
             processes_now(launcher),
             switch=launcher.switch,
             started_ns=launcher.started_ns,
@@ -137,29 +137,29 @@ class SeatFeed:
             child.row.name: child.pid
             for child in launcher.children
             if child.row.name in launcher.pages
-            and self._collector.process(child.row.name).total(PageFigures).watching
+            and self._collector.process(child.row.name).total(PageMetrics).watching
         }
         followers = self._followers(launcher)
-        figures_due = bool(followers) and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
+        metrics_due = bool(followers) and now_ns >= self._recorded_ns + _RECORDED_EVERY_NS
         messages = self._monitored(launcher, now_ns) | self._supervised(launcher, now_ns)
-        for name, pid in followers.items() if not figures_due else ():
+        for name, pid in followers.items() if not metrics_due else ():
             if events := self._events(name, pid):
                 news = SessionEvents(at_us=now_ns // NS_PER_US, events=events)
                 messages[name] = msgspec.json.encode(news)
-        if not lives and not figures_due:
+        if not lives and not metrics_due:
             return messages
-        message = self._figures.message(
+        message = self._metrics.message(
             launcher.cpu_s(),
             launcher_cpu_s=launcher_cpu_s(),
             running_ns=launcher.switch.running_ns(launcher.started_ns, now_ns),
             now_ns=now_ns,
         )
-        for name, pid in followers.items() if figures_due else ():
+        for name, pid in followers.items() if metrics_due else ():
             self._recorded_ns = now_ns
             news = SessionEvents(
                 at_us=message.at_us,
                 events=self._events(name, pid),
-                figures=dict(message.figures),
+                metrics=dict(message.metrics),
             )
             messages[name] = msgspec.json.encode(news)
         for name, pid in lives.items():
@@ -191,30 +191,30 @@ class SeatFeed:
         return dict.fromkeys(supervisors, msgspec.json.encode(told))
 
     def _state(self, child: Child, launcher: Launcher, now_ns: int) -> ProcessState:
-        figures, running = self._collector.process(child.row.name), child.pid is not None
+        metrics, running = self._collector.process(child.row.name), child.pid is not None
         idle: Literal["down", "stopped"] = "down" if child.policy.wanted else "stopped"
-        told_ns = figures.told_ns or launcher.started_ns
+        told_ns = metrics.told_ns or launcher.started_ns
         return ProcessState(
             name=child.row.name,
             state="running" if running else idle,
             restarts=child.restarts,
             cpu_s=child.cpu_s(),
             age_ms=(now_ns - told_ns) / NS_PER_MS if running else 0.0,
-            loop=figures.total(LoopFigures),
+            loop=metrics.total(LoopMetrics),
         )
 
     def _events(self, process: str, pid: int | None) -> list[Event]:
-        life, number = self._told.get(process, (pid, 0))
-        events = self.log.after(number if life == pid else 0)
+        boot_id, number = self._told.get(process, (pid, 0))
+        events = self.log.after(number if boot_id == pid else 0)
         self._newest[process] = pid, events[-1].number if events else number
         return events
 
     def _followers(self, launcher: Launcher) -> dict[str, int | None]:
-        """The lives of the recorder, while it records, and of the bridge with clients."""
+        """The starts of the recorder, while it records, and of the bridge with clients."""
         process = self._collector.process
         following = {
-            RECORDER: process(RECORDER).total(RecorderFigures).recording,
-            FOXGLOVE: process(FOXGLOVE).total(FoxgloveFigures).watching > 0,
+            RECORDER: process(RECORDER).total(RecorderMetrics).recording,
+            FOXGLOVE: process(FOXGLOVE).total(FoxgloveMetrics).watching > 0,
         }
         return {
             child.row.name: child.pid
@@ -237,7 +237,7 @@ def end_trace(collector: Collector, launcher: Launcher) -> EndTrace:
         wall_offset_ns=launcher.clock.wall_offset_ns,
         began_ns=launcher.started_ns,
         ended_ns=launcher.ended_ns,
-        lives=[link.life for link in links],
-        peers=[link.peer.life for link in links if link.peer.life is not None],
+        lives=[link.boot_id for link in links],
+        peers=[link.peer.boot_id for link in links if link.peer.boot_id is not None],
         series=collector.trace.report(),
     )

@@ -11,14 +11,14 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram
-from pipelines.media.figures import DisplayFigures
-from pipelines.mission.figures import ComponentFigures, TaskFigures
-from pipelines.partner.figures import RtcFigures
-from pipelines.recording.figures import RecorderFigures
+from pipelines.media.media_metrics import DisplayMetrics
+from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics
+from pipelines.partner.partner_metrics import RtcMetrics
+from pipelines.recording.recorder_metrics import RecorderMetrics
 from pipelines.report import model
-from pipelines.report.collector import Collector, ProcessFigures
+from pipelines.report.collector import Collector, ProcessMetrics
 from pipelines.report.silence import Silence
-from pipelines.session.figures import DatedEvent, TrainerFigures
+from pipelines.session.session_metrics import DatedEvent, TrainerMetrics
 from pipelines.session.task_journal import TaskRow
 from pipelines.session.topology import (
     RTC,
@@ -31,17 +31,17 @@ from pipelines.session.topology import (
     Segment,
     component_process,
 )
-from telepresence.haptics.figures import PortFigures, SamplesReceived, SamplesSent
-from telepresence.haptics.ownership import OwnershipFigures
-from telepresence.link.figures import ClockFigures
+from telepresence.haptics.authority import AuthorityMetrics
+from telepresence.haptics.haptic_metrics import PortMetrics, SamplesReceived, SamplesSent
+from telepresence.link.link_metrics import ClockMetrics
 
 
-def arm_report(collector: Collector, epoch_ns: int) -> OwnershipFigures | None:
+def arm_report(collector: Collector, epoch_ns: int) -> AuthorityMetrics | None:
     """Return who drove the robot; None where only the joystick in space may.
 
     epoch_ns: the beginning of the session.
     """
-    arm = collector.process("robot").find(OwnershipFigures)
+    arm = collector.process("robot").find(AuthorityMetrics)
     if arm is None:
         return None
     events = tuple(replace(event, at_ns=event.at_ns - epoch_ns) for event in arm.events)
@@ -56,22 +56,22 @@ def second_arm_report(collector: Collector) -> model.SecondArmReport | None:
     return model.SecondArmReport(
         sender=arm.total(SamplesSent),
         receiver=arm.total(SamplesReceived),
-        port=arm.total(PortFigures),
+        port=arm.total(PortMetrics),
     )
 
 
 def exercises(collector: Collector, epoch_ns: int) -> list[DatedEvent] | None:
     """Return what the trainer did; None if nothing."""
-    told = collector.process(TRAINER).total(TrainerFigures).exercises
+    told = collector.process(TRAINER).total(TrainerMetrics).exercises
     return [replace(event, at_ns=event.at_ns - epoch_ns) for event in told] or None
 
 
-def component_reports(collector: Collector, epoch_ns: int) -> dict[str, ComponentFigures] | None:
+def component_reports(collector: Collector, epoch_ns: int) -> dict[str, ComponentMetrics] | None:
     """Return what the components in telemetry did, by name; None without one that ran here."""
     found = {}
     for component in collector.topology.options.components:
         name = component.application.name
-        told = collector.process(component_process(name)).find(ComponentFigures)
+        told = collector.process(component_process(name)).find(ComponentMetrics)
         if told is not None:
             events = (replace(event, at_ns=event.at_ns - epoch_ns) for event in told.events)
             found[name] = replace(told, events=tuple(events))
@@ -80,7 +80,7 @@ def component_reports(collector: Collector, epoch_ns: int) -> dict[str, Componen
 
 def task_runs(collector: Collector, epoch_ns: int) -> list[TaskRow] | None:
     """Return the runs of tasks, oldest first; None for a session without tasks."""
-    told = collector.process(TASKS).find(TaskFigures)
+    told = collector.process(TASKS).find(TaskMetrics)
     if told is None:
         return None
     return [run_since(epoch_ns, run) for _, run in sorted(told.runs.items())]
@@ -94,7 +94,7 @@ def run_since(epoch_ns: int, run: TaskRow) -> TaskRow:
 
 def task_warnings(collector: Collector) -> list[model.Warning]:
     """Runs that should have a file of their own, and have none."""
-    told = collector.process(TASKS).total(TaskFigures)
+    told = collector.process(TASKS).total(TaskMetrics)
     if not told.unrecorded:
         return []
     why = f": {told.unrecorded_why}" if told.unrecorded_why else ""
@@ -103,7 +103,7 @@ def task_warnings(collector: Collector) -> list[model.Warning]:
             what="not_recorded",
             where=TASKS,
             measured=f"{told.unrecorded} runs have no recording of their own{why}",
-            mend="with --runs, let nobody else record the session",
+            fix="with --runs, let nobody else record the session",
         )
     ]
 
@@ -123,18 +123,18 @@ def rtc_report(collector: Collector, seconds: float) -> model.RtcReport | None:
     """The leg of a session of `seconds`; None without one."""
     if collector.topology.setup.rtc is None:
         return None
-    figures = collector.process(RTC).find(RtcFigures)
-    if figures is None:
+    metrics = collector.process(RTC).find(RtcMetrics)
+    if metrics is None:
         return None
     return model.RtcReport(
-        figures=figures,
+        metrics=metrics,
         mean_bps={
             name: round(8 * stream.octets / max(seconds, 1e-9))
-            for name, stream in sorted(figures.streams.items())
+            for name, stream in sorted(metrics.streams.items())
         },
         shown={
             name: model.RtcShownReport(
-                display=collector.process(RTC_DISPLAY).total(DisplayFigures, name),
+                display=collector.process(RTC_DISPLAY).total(DisplayMetrics, name),
                 latency_ms=spread_ms(collector.partner[name]),
             )
             for name in (RTC_CAMERA, RTC_VOICE)
@@ -147,7 +147,7 @@ def rtc_now(collector: Collector, now_ns: int) -> dict[str, int | float | str | 
     leg = collector.topology.setup.rtc
     if leg is None:
         return {}
-    told = collector.process(RTC).total(RtcFigures)
+    told = collector.process(RTC).total(RtcMetrics)
     trip_ns = told.round_trip_ns
     found: dict[str, int | float | str | None] = {
         "rtc.partners": told.partners,
@@ -157,7 +157,7 @@ def rtc_now(collector: Collector, now_ns: int) -> dict[str, int | float | str | 
     }
     display = collector.process(RTC_DISPLAY)
     for name in (RTC_CAMERA, RTC_VOICE):
-        shown = display.total(DisplayFigures, name)
+        shown = display.total(DisplayMetrics, name)
         age_ns = None if shown.age_ns is None else shown.age_ns + max(0, now_ns - display.told_ns)
         found[f"{name}.age_ms"] = None if age_ns is None else round(age_ns / NS_PER_MS, 1)
         found[f"{name}.displayed"] = shown.frames_displayed
@@ -166,7 +166,7 @@ def rtc_now(collector: Collector, now_ns: int) -> dict[str, int | float | str | 
 
 def rtc_line(collector: Collector) -> str | None:
     """A line for the live view; None without a leg or a partner."""
-    told = collector.process(RTC).total(RtcFigures)
+    told = collector.process(RTC).total(RtcMetrics)
     if not told.partners:
         return None
     trip_ns = told.round_trip_ns
@@ -181,22 +181,22 @@ _DISK = "give the recording a larger or a faster disk"
 _PROCESSOR = "leave the recorder more of the processors: fewer cameras, or a faster machine"
 
 
-def recorder_report(collector: Collector) -> RecorderFigures | None:
+def recorder_report(collector: Collector) -> RecorderMetrics | None:
     """The recording of a session; None if nothing was recorded."""
-    figures = _figures(collector)
-    return figures if figures.parts or figures.disk_faults else None
+    metrics = _metrics(collector)
+    return metrics if metrics.parts or metrics.disk_faults else None
 
 
 def seat_recording(collector: Collector) -> dict[str, str | int | None]:
     """What pages show of the recording, by name. file: null while nothing is recorded."""
-    if collector.process(RECORDER).find(RecorderFigures) is None:
+    if collector.process(RECORDER).find(RecorderMetrics) is None:
         return {}
-    figures = _figures(collector)
+    metrics = _metrics(collector)
     return {
-        "file": (figures.file or "").rpartition("/")[2] if figures.recording else None,
-        "octets": figures.octets,
-        "lost": figures.lost,
-        "fault": figures.fault,
+        "file": (metrics.file or "").rpartition("/")[2] if metrics.recording else None,
+        "octets": metrics.octets,
+        "lost": metrics.lost,
+        "fault": metrics.fault,
     }
 
 
@@ -206,36 +206,36 @@ def recorder_warnings(collector: Collector) -> list[model.Warning]:
     A disk makes the recorder drop what it has read. What was gone before it was read is missing
     because the recorder did not run in time.
     """
-    figures = _figures(collector)
-    if not (figures.lost or figures.disk_faults):
+    metrics = _metrics(collector)
+    if not (metrics.lost or metrics.disk_faults):
         return []
-    why = f"; {figures.fault}" if figures.fault else ""
-    dropped = sum(one.dropped for one in figures.channels.values())
-    missed = figures.lost - dropped
-    measured = f"{figures.lost} messages are not in the recording"
+    why = f"; {metrics.fault}" if metrics.fault else ""
+    dropped = sum(one.dropped for one in metrics.channels.values())
+    missed = metrics.lost - dropped
+    measured = f"{metrics.lost} messages are not in the recording"
     if missed:
         measured += f", of which {missed} were gone before they were read"
-    mends = [_DISK] * bool(dropped or figures.disk_faults) + [_PROCESSOR] * bool(missed)
-    mend = "; ".join(mends)
-    return [model.Warning(what="not_recorded", where=RECORDER, measured=measured + why, mend=mend)]
+    fixes = [_DISK] * bool(dropped or metrics.disk_faults) + [_PROCESSOR] * bool(missed)
+    fix = "; ".join(fixes)
+    return [model.Warning(what="not_recorded", where=RECORDER, measured=measured + why, fix=fix)]
 
 
 def recording_line(collector: Collector) -> tuple[str, bool] | None:
     """A line for the live view, and whether it is bad news; None while nothing is recorded."""
-    figures = _figures(collector)
-    if not figures.recording:
+    metrics = _metrics(collector)
+    if not metrics.recording:
         return None
-    line = f"recording to {figures.file}, {figures.octets / 1e6:.1f} MB"
-    line += f", {figures.lost} messages lost" if figures.lost else ""
-    line += f": {figures.fault}" if figures.fault else ""
-    return line, bool(figures.lost or figures.fault)
+    line = f"recording to {metrics.file}, {metrics.octets / 1e6:.1f} MB"
+    line += f", {metrics.lost} messages lost" if metrics.lost else ""
+    line += f": {metrics.fault}" if metrics.fault else ""
+    return line, bool(metrics.lost or metrics.fault)
 
 
-def _figures(collector: Collector) -> RecorderFigures:
-    return collector.process(RECORDER).total(RecorderFigures)
+def _metrics(collector: Collector) -> RecorderMetrics:
+    return collector.process(RECORDER).total(RecorderMetrics)
 
 
-def clock_words(peer: str, clock: ClockFigures) -> str:
+def clock_words(peer: str, clock: ClockMetrics) -> str:
     """One line: where the clock of `peer`, a segment, is, with the error."""
     if clock.offset_ns is None or clock.error_ns is None:
         return f"clock: {peer}'s is not known"
@@ -268,7 +268,7 @@ def cpu_report(
 
 
 def process_report(
-    figures: ProcessFigures, cpu_s: float, restarts: int, silence: Silence | None = None
+    metrics: ProcessMetrics, cpu_s: float, restarts: int, silence: Silence | None = None
 ) -> model.ProcessReport:
     """One process, with the CPU time and restarts that its launcher knows.
 
@@ -277,10 +277,10 @@ def process_report(
     return model.ProcessReport(
         cpu_s=round(cpu_s, 3),
         restarts=restarts,
-        source_fault=figures.capture.source_fault if silence is None else silence.fault or None,
-        scheduler=figures.scheduler,
-        last_error=figures.last_error,
+        source_fault=metrics.capture.source_fault if silence is None else silence.fault or None,
+        scheduler=metrics.scheduler,
+        last_error=metrics.last_error,
         silent_s=None if silence is None else round(silence.silent_ns / NS_PER_S, 1),
-        counts=figures.counts_by_name(),
-        newest=figures.newest_by_name(),
+        counts=metrics.counts_by_name(),
+        newest=metrics.newest_by_name(),
     )

@@ -11,25 +11,25 @@ from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.media.figures import GainFigures
-from pipelines.recording.figures import FoxgloveFigures
+from pipelines.media.media_metrics import GainMetrics
+from pipelines.recording.recorder_metrics import FoxgloveMetrics
 from pipelines.report import model, sections, silence
 from pipelines.report.collector import Collector
-from pipelines.report.journeys import Pauses, StreamFigures
-from pipelines.report.link_report import gateway_figures, link_figures, punctuality_us
-from pipelines.report.sync_figures import disagreements, sync_section
+from pipelines.report.journeys import Pauses, StreamMetrics
+from pipelines.report.link_report import gateway_metrics, link_metrics, punctuality_us
+from pipelines.report.sync_metrics import disagreements, sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
-from pipelines.session.figures import LoopFigures, ProbeFigures
+from pipelines.session.session_metrics import LoopMetrics, ProbeMetrics
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology import FOXGLOVE, ROBOT, HapticRow
 from pipelines.session.verdict import ProcessNow, process_failures
-from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import (
-    JoystickFigures,
-    PortFigures,
-    RobotFigures,
+from telepresence.haptics.envelope import SafetyMetrics
+from telepresence.haptics.haptic_metrics import (
+    JoystickMetrics,
+    PortMetrics,
+    RobotMetrics,
     SamplesReceived,
     SamplesSent,
 )
@@ -49,7 +49,7 @@ def build_report(
 ) -> model.SessionReport:
     """The whole report.
 
-    seconds: how long the session ran. cpu_s, restarts: of each process, over all its lives.
+    seconds: how long the session ran. cpu_s, restarts: of each process, over all its starts.
     media: False if the session had no streams, whatever its setup says.
     stopped_s: from when to when it was stopped on request. That time is in no mean and no failure.
     processes: as the launcher knows them.
@@ -57,7 +57,7 @@ def build_report(
     setup = collector.setup
     streams = setup.streams if media else ()
     whole_s, seconds = seconds, seconds - sum(end_s - begin_s for begin_s, end_s in stopped_s)
-    uplink = link_figures(collector, "uplink")
+    uplink = link_metrics(collector, "uplink")
     topology, alone = collector.topology, collector.topology.alone
     silent = {one.process: one for one in silence.silences(collector)}
     return model.SessionReport(
@@ -70,8 +70,8 @@ def build_report(
             row.key: haptic_report(row, collector, seconds) for row in collector.topology.haptics
         },
         joystick=joystick_report(collector),
-        link={"uplink": uplink, "downlink": link_figures(collector, "downlink")},
-        gateways={end.value: gateway_figures(collector, end.value) for end in topology.segments},
+        link={"uplink": uplink, "downlink": link_metrics(collector, "downlink")},
+        gateways={end.value: gateway_metrics(collector, end.value) for end in topology.segments},
         skew_ms=skew_reports(collector),
         video_lead=video_lead(
             setup,
@@ -97,21 +97,21 @@ def build_report(
             *sections.task_warnings(collector),
         ],
         recorder=sections.recorder_report(collector),
-        foxglove=collector.process(FOXGLOVE).find(FoxgloveFigures),
+        foxglove=collector.process(FOXGLOVE).find(FoxgloveMetrics),
         exercises=sections.exercises(collector, _radio_epoch_ns(collector)),
         rtc=sections.rtc_report(collector, seconds),
         arm=sections.arm_report(collector, _radio_epoch_ns(collector)),
         safety=safety_report(collector),
-        robot=collector.process(ROBOT).find(RobotFigures),
+        robot=collector.process(ROBOT).find(RobotMetrics),
         second_arm=sections.second_arm_report(collector),
         tasks=sections.task_runs(collector, _radio_epoch_ns(collector)),
         telemetry=sections.component_reports(collector, _radio_epoch_ns(collector)),
     )
 
 
-def safety_report(collector: Collector) -> SafetyFigures | None:
+def safety_report(collector: Collector) -> SafetyMetrics | None:
     """Return what held the robot; None without the robot's end."""
-    told = collector.process(ROBOT).find(SafetyFigures)
+    told = collector.process(ROBOT).find(SafetyMetrics)
     if told is None:
         return None
     epoch_ns = _radio_epoch_ns(collector)
@@ -144,10 +144,10 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
 def stream_report(
     stream: VideoStream | VoiceStream, collector: Collector, seconds: float
 ) -> model.StreamReport:
-    figures = collector.streams[stream.name]
+    metrics = collector.streams[stream.name]
     row = collector.topology.media(stream.name)
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
-    gain, display = sender.find(GainFigures), collector.shown(stream.name)
+    gain, display = sender.find(GainMetrics), collector.shown(stream.name)
     seconds = max(seconds, 1e-9)
     return model.StreamReport(
         side=collector.topology.side_here(row),
@@ -156,9 +156,9 @@ def stream_report(
         gain=gain,
         size=(stream.width, stream.height) if isinstance(stream, VideoStream) else None,
         coded_size=stream.coded_size if isinstance(stream, VideoStream) else None,
-        payload_bps_mean=round(figures.rate.octets * 8 / seconds),
-        payload_bps_max_1s=round(figures.rate.max_bps(NS_PER_S)),
-        payload_bps_max_100ms=round(figures.rate.max_bps(100 * NS_PER_MS)),
+        payload_bps_mean=round(metrics.rate.octets * 8 / seconds),
+        payload_bps_max_1s=round(metrics.rate.max_bps(NS_PER_S)),
+        payload_bps_max_100ms=round(metrics.rate.max_bps(100 * NS_PER_MS)),
         sender=sender.total(SenderCounts),
         feedback=sender.find(FeedbackCounts),
         video=receiver.find(VideoReceiverCounts),
@@ -167,18 +167,18 @@ def stream_report(
         display=display,
         displayed_hz=round(display.frames_displayed / seconds, 2),
         stale_after_ms=_ms(collector.setup.stale_after_ns(stream)),
-        latency_ms=stream_latency_ms(figures),
-        latency_error_ms=_ms(figures.error_ns) if figures.error_ns else None,
-        pauses_s=_pauses_s(figures.pauses, collector),
-        capture_stamp_error_us=round(figures.stamp_error.max / NS_PER_US, 1),
+        latency_ms=stream_latency_ms(metrics),
+        latency_error_ms=_ms(metrics.error_ns) if metrics.error_ns else None,
+        pauses_s=_pauses_s(metrics.pauses, collector),
+        capture_stamp_error_us=round(metrics.stamp_error.max / NS_PER_US, 1),
     )
 
 
-def stream_latency_ms(figures: StreamFigures) -> model.StreamLatency:
+def stream_latency_ms(metrics: StreamMetrics) -> model.StreamLatency:
     return model.StreamLatency(
-        **msgspec.structs.asdict(sections.spread_ms(figures.latency)),
+        **msgspec.structs.asdict(sections.spread_ms(metrics.latency)),
         stages=model.Stages(
-            **{stage: sections.spread_ms(histogram) for stage, histogram in figures.stages.items()}
+            **{stage: sections.spread_ms(histogram) for stage, histogram in metrics.stages.items()}
         ),
     )
 
@@ -187,13 +187,13 @@ def _ms(value_ns: int) -> float:
     return round(value_ns / NS_PER_MS, 3)
 
 
-def joystick_report(collector: Collector) -> JoystickFigures | None:
-    return collector.process("joystick").find(JoystickFigures)
+def joystick_report(collector: Collector) -> JoystickMetrics | None:
+    return collector.process("joystick").find(JoystickMetrics)
 
 
 def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> model.HapticReport:
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
-    profile, figures = collector.setup.profile(row.direction), collector.haptics[row.key]
+    profile, metrics = collector.setup.profile(row.direction), collector.haptics[row.key]
     sent, received = sender.total(SamplesSent), receiver.total(SamplesReceived)
     left_out = sent.left_out
     return model.HapticReport(
@@ -203,13 +203,13 @@ def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> model
         sender=sent,
         saved_bps=None if left_out is None else haptic_bps(profile, left_out, seconds),
         receiver=received,
-        latency_ms=sections.spread_ms(figures.latency),
-        unmatched=figures.unmatched,
-        pauses_s=_pauses_s(figures.pauses, collector),
+        latency_ms=sections.spread_ms(metrics.latency),
+        unmatched=metrics.unmatched,
+        pauses_s=_pauses_s(metrics.pauses, collector),
         lateness_us=punctuality_us(sender.lateness),
-        loop=sender.total(LoopFigures),
-        port=sender.total(PortFigures),
-        axes={name: sender.total(PortFigures, name) for name in collector.setup.more_axes} or None,
+        loop=sender.total(LoopMetrics),
+        port=sender.total(PortMetrics),
+        axes={name: sender.total(PortMetrics, name) for name in collector.setup.more_axes} or None,
     )
 
 
@@ -232,8 +232,8 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
     signals_ns = {segment: silence.signal_ns(segment, collector) for segment in ("ground", "space")}
     whole_ns = round(seconds * NS_PER_S)
     for stream in setup.streams if media else ():
-        figures = collector.streams[stream.name]
-        above_bps, largest_bps = figures.above_cap_bps
+        metrics = collector.streams[stream.name]
+        above_bps, largest_bps = metrics.above_cap_bps
         if above_bps > 0:
             found.append(f"{stream.name}: {largest_bps:.0f} bit/s in 1 s, above its cap")
         if topology.alone is not None:
@@ -250,7 +250,7 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
                 f"{stream.name}: nothing was displayed in the last {still_ns / NS_PER_S:.1f} s, "
                 "though its input went on"
             )
-        for stage, count in figures.negative().items():
+        for stage, count in metrics.negative().items():
             found.append(f"{stream.name}: {count} latencies below 0 ({stage})")
     for row in collector.topology.haptics:
         receiver = collector.process(row.receiver)
@@ -261,7 +261,7 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
             found.append(f"haptic_{row.key}: no sample was received")
         sender = collector.process(row.sender)
         for name in ("", *setup.more_axes):
-            port = sender.total(PortFigures, name)
+            port = sender.total(PortMetrics, name)
             # One count of energy in a sample is rounding.
             if port.least_uj < -1:
                 found.append(
@@ -271,7 +271,7 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
     joystick = joystick_report(collector)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
-    robot = collector.process(ROBOT).find(RobotFigures)
+    robot = collector.process(ROBOT).find(RobotMetrics)
     if robot is not None and robot.error:
         found.append(f"robot: {robot.error}")
     found += [str(one) for one in silence.silences(collector) if one.own and one.fault]
@@ -281,12 +281,12 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
     for process, reported in collector.processes.items():
         if lacks_room(reported.last_error or ""):
             found.append(f"{process}: {reported.last_error}")
-        dropped = reported.total(ProbeFigures).probe_values_dropped
+        dropped = reported.total(ProbeMetrics).probe_values_dropped
         if dropped:
             found.append(f"{process}: {dropped} values for this report were lost")
     return found
 
 
-def latency_ms(figures: StreamFigures) -> float | None:
-    newest = figures.last_latency_ns
+def latency_ms(metrics: StreamMetrics) -> float | None:
+    newest = metrics.last_latency_ns
     return None if newest is None else newest / NS_PER_MS

@@ -6,7 +6,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.meters import RateMeter
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.staleness import State
-from pipelines.media.figures import CaptureFigures, DisplayFigures
+from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics
 from pipelines.report.collector import Collector
 from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import VOICE_PACKETS_PER_S, Setup, VideoStream, VoiceStream
@@ -49,12 +49,12 @@ def silences(collector: Collector, now_ns: int | None = None) -> list[Silence]:
     found = []
     for name in setup.inputs:
         process = collector.topology.input(name).process
-        figures = collector.process(process)
-        silent_ns = figures.silent_ns(now_ns)
+        metrics = collector.process(process)
+        silent_ns = metrics.silent_ns(now_ns)
         video = setup.kind_of(name) == "video"
         if silent_ns >= _missed_ns(setup.stream_of(name).fps if video else VOICE_PACKETS_PER_S):
             waits = setup.source(name) in FILLED_BY_OTHERS
-            fault = "no page gives it" if waits else figures.capture.source_fault or ""
+            fault = "no page gives it" if waits else metrics.capture.source_fault or ""
             sense = "picture" if video else "sound"
             own = fault.startswith(f"{setup.source(name)}: ")
             found.append(Silence(process, sense, silent_ns, fault, waits, own))
@@ -75,7 +75,7 @@ def taken_by_page(stream: VideoStream | VoiceStream, collector: Collector) -> bo
     """Whether a browser page has given anything for an input of a stream."""
     topology = collector.topology
     processes = [row.process for row in topology.inputs if row.stream == stream.name]
-    counters = [collector.process(name).total(CaptureFigures) for name in processes]
+    counters = [collector.process(name).total(CaptureMetrics) for name in processes]
     return any(each.from_page for each in counters)
 
 
@@ -94,8 +94,8 @@ def signal_ns(segment: str, collector: Collector) -> int:
     Very large if no gateway has reported its contacts; 0 if the radio has lost so many frames that
     hardly a picture can have come whole, or if fades often end the lock now, near the horizon.
     """
-    figures = collector.gateway(Segment(segment))
-    link = figures.newest_link
+    metrics = collector.gateway(Segment(segment))
+    link = metrics.newest_link
     if link is None:
         return _FOR_EVER_NS
     supervision, heard = link.supervision, link.receive
@@ -103,10 +103,10 @@ def signal_ns(segment: str, collector: Collector) -> int:
     if not supervision.signal or lost > _SPOILED * (heard.frames_received + lost):
         return 0
     acquired_ns = supervision.begun_ns + supervision.contacts[-1].acquired_ns
-    ran_ns, setup = figures.told_ns - supervision.begun_ns, collector.topology.setup
+    ran_ns, setup = metrics.told_ns - supervision.begun_ns, collector.topology.setup
     if _usable_ns(ran_ns, setup) <= _usable_ns(ran_ns - _STEP_NS, setup):
         return 0
-    return figures.told_ns - acquired_ns
+    return metrics.told_ns - acquired_ns
 
 
 def never_met(collector: Collector, seconds: float) -> list[str]:
@@ -152,10 +152,10 @@ def stopped_ns(stream: VideoStream | VoiceStream, collector: Collector) -> int:
         shown_ns = max(shown_ns, collector.process("selector").selected_ns)
     longest_ns = 0
     for name in _chosen_inputs(stream, collector):
-        figures = collector.process(collector.topology.input(name).process)
-        captured_ns = figures.capture.captured_ns
+        metrics = collector.process(collector.topology.input(name).process)
+        captured_ns = metrics.capture.captured_ns
         if captured_ns is not None:
-            given_ns = captured_ns - max(shown_ns, figures.gives_since_ns)
+            given_ns = captured_ns - max(shown_ns, metrics.gives_since_ns)
             longest_ns = max(longest_ns, given_ns)
     return longest_ns
 
@@ -185,7 +185,7 @@ def shown_now(
     None: nothing was shown yet, or its clock is not known.
     """
     display = collector.process(collector.topology.media(stream.name).display)
-    reported = display.total(DisplayFigures, stream.name)
+    reported = display.total(DisplayMetrics, stream.name)
     if reported.age_ns is None:
         return reported.state, None
     age_ns = reported.age_ns + max(0, now_ns - display.told_ns - _TOLD_AFTER_NS)

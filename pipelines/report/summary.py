@@ -116,7 +116,7 @@ def print_summary(report: model.SessionReport, console: Console) -> None:
             f"recorded: {recorded.messages} messages, {recorded.octets / 1e6:.1f} MB{parts}"
         )
     for warning in report.warnings:
-        line = f"{warning.where}: {warning.measured}; {warning.mend}"
+        line = f"{warning.where}: {warning.measured}; {warning.fix}"
         console.print(f"[bold yellow]warning:[/] {escape(line)}", highlight=False)
     for failure in report.failures:
         console.print(f"[bold red]failed:[/] {escape(failure)}", highlight=False)
@@ -192,9 +192,9 @@ def _print_content(console: Console, sync: model.SyncReport | None) -> None:
     if sync is None:
         return
     senses = [
-        f"{sense} {figures.latency_ms.p50:.1f} ({figures.perceived})"
-        for sense, figures in sync.senses.items()
-        if figures is not None and figures.perceived
+        f"{sense} {metrics.latency_ms.p50:.1f} ({metrics.perceived})"
+        for sense, metrics in sync.senses.items()
+        if metrics is not None and metrics.perceived
     ]
     skews = _skews(sync.skew_ms)
     console.print(

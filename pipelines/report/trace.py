@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from kontur_av.errors import ProtocolError, refused
 from pipelines.report.model import TraceBlock, TraceSeries
-from pipelines.session.figures import INSTANTS, LatenessRow, OutRow, Row, SendingRow
 from pipelines.session.probe import Series
+from pipelines.session.session_metrics import INSTANTS, LatenessRow, OutRow, Row, SendingRow
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
 #: By name in a report: all rows but those of one end alone.

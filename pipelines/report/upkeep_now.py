@@ -4,16 +4,16 @@ from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 from kontur_av.clock import NS_PER_S
-from pipelines.mission.figures import TaskFigures
-from pipelines.report.collector import Collector, ProcessFigures
-from pipelines.seats.figures import PageFigures
+from pipelines.mission.mission_metrics import TaskMetrics
+from pipelines.report.collector import Collector, ProcessMetrics
+from pipelines.seats.page_metrics import PageMetrics
 from pipelines.session.task_journal import OPEN
 from pipelines.session.topology import JOYSTICK, PAGES, ROBOT, TASKS, Segment
 from telepresence.haptics.device.states import JoystickState
-from telepresence.haptics.envelope import Hold, SafetyFigures
-from telepresence.haptics.figures import JoystickFigures
+from telepresence.haptics.envelope import Hold, SafetyMetrics
+from telepresence.haptics.haptic_metrics import JoystickMetrics
 from telepresence.haptics.specs import PAGE, is_simulated
-from telepresence.link.figures import ContactWindows
+from telepresence.link.link_metrics import ContactWindows
 from telepresence.link.radio.profile import RadioProfile
 
 #: An event that was found before it happens, or that lasts.
@@ -124,13 +124,13 @@ class ExperimentWatch:
             self._words = ""
         return self._words
 
-    def _telling(self, name: str, now_ns: int) -> ProcessFigures:
+    def _telling(self, name: str, now_ns: int) -> ProcessMetrics:
         """Return the figures of a process; none if it was stopped, because its last ones stay."""
         process = self._collector.process(name)
-        return process if now_ns - process.told_ns < _REST_NS else ProcessFigures()
+        return process if now_ns - process.told_ns < _REST_NS else ProcessMetrics()
 
     def _task(self, now_ns: int) -> str:
-        runs = self._telling(TASKS, now_ns).total(TaskFigures).runs
+        runs = self._telling(TASKS, now_ns).total(TaskMetrics).runs
         row = runs[max(runs)] if runs else None
         return f"{row.name}, run {row.run}" if row is not None and row.result == OPEN else ""
 
@@ -139,13 +139,13 @@ class ExperimentWatch:
         spec, here = topology.options.joystick, topology.segments
         if Segment.SPACE in here and is_simulated(spec):
             return ""
-        if self._telling(PAGES[Segment.SPACE], now_ns).total(PageFigures).holder:
+        if self._telling(PAGES[Segment.SPACE], now_ns).total(PageMetrics).holder:
             return "a page has the handle"
-        robot = self._telling(ROBOT, now_ns).find(SafetyFigures)
+        robot = self._telling(ROBOT, now_ns).find(SafetyMetrics)
         if robot is not None and robot.hold is Hold.NONE:
             return "the robot follows the hand"
         # Only with the robot elsewhere; a page's joystick is in APPLICATION without a person, too.
-        joystick = self._telling(JOYSTICK, now_ns).find(JoystickFigures)
+        joystick = self._telling(JOYSTICK, now_ns).find(JoystickMetrics)
         driven = joystick is not None and joystick.state == JoystickState.APPLICATION.words
         return "the joystick drives" if driven and here == (Segment.SPACE,) and spec != PAGE else ""
 

@@ -1,4 +1,4 @@
-"""What made a session worse than necessary, and its mend. A core.
+"""What made a session worse than necessary, and its fix. A core.
 
 A failure is a broken promise of the project. A warning is about the machine or the setup: a person
 can change something.
@@ -9,14 +9,14 @@ from collections.abc import Iterable, Mapping
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.paced_sender import SenderCounts
-from pipelines.media.figures import CaptureFigures
+from pipelines.media.media_metrics import CaptureMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
-from pipelines.session.figures import LEFT_OUT_SHARE, LoopFigures
+from pipelines.session.session_metrics import LEFT_OUT_SHARE, LoopMetrics
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream
 from pipelines.session.topology import LOOP_PRIORITY, Segment
-from telepresence.link.figures import PeerFigures
+from telepresence.link.link_metrics import PeerMetrics
 
 #: A loop is late if its cycles begin later than this, at the 99th percentile.
 LATE_NS = NS_PER_MS // 2
@@ -88,8 +88,8 @@ def hand_warnings(collector: Collector) -> list[Warning]:
     if trip_ns < _LONG_TRIP_NS:
         return []
     measured = f"the hand felt forces after a round trip of {trip_ns / NS_PER_MS:.0f} ms"
-    mend = "take `--hand auto`, which renders walls: docs/haptics-controllers.md"
-    return [Warning(what="hand_direct", where="joystick", measured=measured, mend=mend)]
+    fix = "take `--hand auto`, which renders walls: docs/haptics-controllers.md"
+    return [Warning(what="hand_direct", where="joystick", measured=measured, fix=fix)]
 
 
 def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> list[Warning]:
@@ -99,25 +99,25 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
     """
     found = []
     for segment in segments:
-        gateway, figures = collector.topology.gateway(segment).name, collector.gateway(segment)
-        peer = figures.find(PeerFigures)
+        gateway, metrics = collector.topology.gateway(segment).name, collector.gateway(segment)
+        peer = metrics.find(PeerMetrics)
         if peer is not None and not peer.protected:
             found.append(
                 Warning(
                     what="not_protected",
                     where=gateway,
                     measured="anybody on the path could read, change and steer",
-                    mend="leave --insecure out at both ends: `kontur-av keys new`",
+                    fix="leave --insecure out at both ends: `kontur-av keys new`",
                 )
             )
-        clock = None if figures.link is None else figures.link.clock
+        clock = None if metrics.link is None else metrics.link.clock
         if clock is not None and clock.offset_ns is None and clock.messages_received:
             found.append(
                 Warning(
                     what="clock_unknown",
                     where=gateway,
                     measured=f"{clock.messages_received} messages of the peer's clock fit no clock",
-                    mend="ages and latencies between the machines are not known: install the same "
+                    fix="ages and latencies between the machines are not known: install the same "
                     "version at both ends, and let nothing step their clocks",
                 )
             )
@@ -127,14 +127,14 @@ def find_path_warnings(collector: Collector, segments: Iterable[Segment]) -> lis
 def find_loop_warnings(collector: Collector, process: str) -> list[Warning]:
     if collector.topology.process(process).priority != LOOP_PRIORITY:
         return []
-    figures = collector.process(process)
-    loop = figures.total(LoopFigures)
+    metrics = collector.process(process)
+    loop = metrics.total(LoopMetrics)
     return loop_warnings(
         process,
         cycles=loop.cycles,
         left_out=loop.slips,
-        late_ns=round(figures.lateness.percentile(99)) if figures.lateness.count else 0,
-        scheduler=figures.scheduler or "",
+        late_ns=round(metrics.lateness.percentile(99)) if metrics.lateness.count else 0,
+        scheduler=metrics.scheduler or "",
     )
 
 
@@ -145,25 +145,25 @@ def loop_warnings(
 
     cycles: done. late_ns: 99th percentile. scheduler: `fifo` with real-time priority.
     """
-    mend = _TOO_SLOW if scheduler == "fifo" else _NO_REAL_TIME
+    fix = _TOO_SLOW if scheduler == "fifo" else _NO_REAL_TIME
     share = left_out / max(1, cycles + left_out)
     if share > LEFT_OUT_SHARE:
         measured = f"{100 * share:.1f} % of its cycles were left out"
-        return [Warning(what="cycles_left_out", where=process, measured=measured, mend=mend)]
+        return [Warning(what="cycles_left_out", where=process, measured=measured, fix=fix)]
     if late_ns > LATE_NS:
         measured = f"1 of 100 cycles began more than {late_ns / NS_PER_MS:.1f} ms late"
-        return [Warning(what="cycles_late", where=process, measured=measured, mend=mend)]
+        return [Warning(what="cycles_late", where=process, measured=measured, fix=fix)]
     return []
 
 
 def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
     why = f": {last_error}" if last_error else ""
-    mend = "mend what its error names; report an error of this software"
+    fix = "fix what its error names; report an error of this software"
     if lacks_room(last_error):
-        mend = "end the program that fills /dev/shm, or give more (--shm-size=256m)"
+        fix = "end the program that fills /dev/shm, or give more (--shm-size=256m)"
     times = "once" if restarts == 1 else f"{restarts} times"
     return Warning(
-        what="restarted", where=process, measured=f"it was started again {times}{why}", mend=mend
+        what="restarted", where=process, measured=f"it was started again {times}{why}", fix=fix
     )
 
 
@@ -180,14 +180,14 @@ def picture_warnings(
         return []
     if captured < SHOWN_SHARE * fps * seconds:
         measured = f"its input gave {captured / seconds:.1f} of {fps} pictures a second"
-        mend = f"if the source gives more, {_TOO_SLOW}"
-        return [Warning(what="few_captured", where=stream, measured=measured, mend=mend)]
+        fix = f"if the source gives more, {_TOO_SLOW}"
+        return [Warning(what="few_captured", where=stream, measured=measured, fix=fix)]
     if displayed is not None and displayed < SHOWN_SHARE * (captured - refused):
         measured = (
             f"{displayed / seconds:.1f} pictures a second were shown of "
             f"{captured / seconds:.1f} captured"
         )
-        return [Warning(what="few_shown", where=stream, measured=measured, mend=_TOO_SLOW)]
+        return [Warning(what="few_shown", where=stream, measured=measured, fix=_TOO_SLOW)]
     return []
 
 
@@ -200,7 +200,7 @@ def _captured(stream: str, collector: Collector) -> int:
     )
     processes = (collector.topology.input(name).process for name in inputs)
     return max(
-        (collector.process(name).total(CaptureFigures).captured for name in processes), default=0
+        (collector.process(name).total(CaptureMetrics).captured for name in processes), default=0
     )
 
 

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.axes import BUILT_IN_AXES, AxisName
-from telepresence.haptics.device.page import FACTS, PageHandModel, PageInput
+from telepresence.haptics.device.page import CAPABILITIES, PageHandModel, PageInput
 
 #: The left shoulder, as `joy_node` of ROS 2 numbers the buttons of the usual controllers.
 DEAD_MAN_BUTTON: Final = 4
@@ -64,14 +64,14 @@ class Ros2Hand:
     def __init__(self, more: Sequence[AxisName] = ()) -> None:
         self._names = ("x", "y", *more)
         self._halves = (
-            FACTS.half_width_m,
-            FACTS.half_height_m,
+            CAPABILITIES.half_width_m,
+            CAPABILITIES.half_height_m,
             *(BUILT_IN_AXES[name].half_range for name in more),
         )
         self.taken = self.refused = 0
         self._hand = _Speaker(_FRESH_NS)
         self._driver = _Speaker(_VELOCITY_FRESH_NS)
-        self._places = [0.0] * len(self._halves)
+        self._positions = [0.0] * len(self._halves)
         self._buttons = 0
         self._held = False
         #: The button was released since the hand was heard.
@@ -97,8 +97,8 @@ class Ros2Hand:
         self._released = (self._released and known) or not pressed
         self._held = pressed and self._released
         self._buttons = sum(1 << at for at, on in enumerate(joy.buttons[:DEAD_MAN_BUTTON]) if on)
-        places = (-joy.axes[0], *joy.axes[1 : len(self._halves)])
-        self._places = [*places, *[0.0] * (len(self._halves) - len(places))]
+        positions = (-joy.axes[0], *joy.axes[1 : len(self._halves)])
+        self._positions = [*positions, *[0.0] * (len(self._halves) - len(positions))]
 
     def handle_velocity(self, velocity: Velocity, gid: bytes, now_ns: int) -> None:
         """Take a message of `/cmd_vel`; ProtocolError for values that are not finite."""
@@ -125,8 +125,8 @@ class Ros2Hand:
         self._told_ns = heard_ns
         self._sequence += 1
         x, y, *more = (
-            max(-1.0, min(1.0, place + moved))
-            for place, moved in zip(self._places, self._moved, strict=True)
+            max(-1.0, min(1.0, position + moved))
+            for position, moved in zip(self._positions, self._moved, strict=True)
         )
         return PageInput(
             self._held, x, y, self._buttons, self._sequence, heard_ns, more=tuple(more)
@@ -137,5 +137,5 @@ class Ros2Hand:
             # No twist has a gripper: it is moved by `/joy` alone.
             speed = self._velocity.get(name, 0.0)
             moved = self._moved[at] + speed * step_ns / NS_PER_S / half
-            place = self._places[at]
-            self._moved[at] = max(-1.0 - place, min(1.0 - place, moved))
+            position = self._positions[at]
+            self._moved[at] = max(-1.0 - position, min(1.0 - position, moved))

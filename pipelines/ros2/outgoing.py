@@ -18,7 +18,6 @@ from pipelines.hand.hand_topics import unpack_status
 from pipelines.hand.haptic_trace import rows_of
 from pipelines.mission.tmtc_messages import K2aciArrived, unpack_news
 from pipelines.recording.own_pictures import MOST_HELD_OCTETS, KeyPictureWanted, StreamStart
-from pipelines.ros2.messages import RosMessages
 from pipelines.ros2.publications import (
     CHAT_TOPIC,
     DIAGNOSTICS_TOPIC,
@@ -29,11 +28,12 @@ from pipelines.ros2.publications import (
     RosContent,
     RosSource,
 )
-from pipelines.session.figures import MonitoredSession, SampleNumbers, nested_values
+from pipelines.ros2.ros_messages import RosMessages
+from pipelines.session.session_metrics import MonitoredSession, SampleNumbers, nested_values
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.
-_PATIENCE_NS: Final = NS_PER_S
+_TIMEOUT_NS: Final = NS_PER_S
 #: A second key picture follows the first one after this time, because the way to a subscriber may
 #: be there a little later than the subscriber.
 _AGAIN_NS: Final = 2 * NS_PER_S
@@ -94,7 +94,7 @@ class JoinedStream:
             self._told, self._since_ns = False, now_ns
         waits = self._wanted is not None
         (self._held if waits else self._ready).append(DatedUnit(data, at_ns, unit.codec))
-        late = now_ns - self._since_ns > _PATIENCE_NS
+        late = now_ns - self._since_ns > _TIMEOUT_NS
         if waits and (late or sum(len(one.data) for one in self._held) > MOST_HELD_OCTETS):
             # Who joined still has no picture.
             self._again_ns = now_ns + _AGAIN_NS
@@ -222,18 +222,18 @@ class OutgoingMessages:
         stream.handle_key_picture(number, key)
         yield from self._units(source, stream)
 
-    def figures(self, told: bytes, now_ns: int) -> Outbound:
+    def metrics(self, told: bytes, now_ns: int) -> Outbound:
         """Return the diagnostics of what the launcher has told: a `MonitoredSession`."""
         news = msgspec.json.decode(told, type=MonitoredSession)
         report = msgspec.json.decode(news.report)
         parts = {
             f"{part} {name}": {
                 key: value
-                for key, value in nested_values(figures)
+                for key, value in nested_values(metrics)
                 if value is not None and not isinstance(value, list)
             }
             for part in _TOLD
-            for name, figures in report.get(part, {}).items()
+            for name, metrics in report.get(part, {}).items()
         }
         return Outbound(DIAGNOSTICS_TOPIC, self._messages.diagnostics(news.problems, parts, now_ns))
 

@@ -15,13 +15,12 @@ from zenoh.ext import CacheConfig, MissDetectionConfig, declare_advanced_publish
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
-from kontur_av.figures import Newest
 from kontur_av.media import CaptureStamp
+from kontur_av.metrics import Newest
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import INPUT_OCTETS, pack_input
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.ros2.hand import Ros2Hand
-from pipelines.ros2.messages import MOST_OCTETS, RosMessages
 from pipelines.ros2.outgoing import Outbound, OutgoingMessages
 from pipelines.ros2.publications import (
     DIAGNOSTICS_TOPIC,
@@ -41,13 +40,14 @@ from pipelines.ros2.publications import (
     publications_of,
     sources_of,
 )
+from pipelines.ros2.ros_messages import MOST_OCTETS, RosMessages
 from pipelines.session.process import Context
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import ROS2, ROS2_HAND_TOPIC, Topology
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ros2Figures:
+class Ros2Metrics:
     """The node of a ROS 2 system. What zenoh drops for a slow subscriber it does not say."""
 
     #: Whether a router or another node is connected.
@@ -166,7 +166,7 @@ class _Ros2Process:
         #: Sources to which somebody just subscribed.
         self._joined: set[RosSource] = set()
         self._hand: Ros2Hand | None = None
-        context.on_flush(self._tell)
+        context.on_flush(self._report)
 
     def run(self, session: zenoh.Session, domain: int) -> None:
         context = self._context
@@ -196,9 +196,9 @@ class _Ros2Process:
         """Read what has come, and publish it if it is wanted."""
         now_ns = self._now_ns()
         self._context.tick(now_ns)
-        while (told := self._context.receive_figures()) is not None:
+        while (told := self._context.receive_metrics()) is not None:
             if DIAGNOSTICS_TOPIC in self._wanted:
-                self._publish(self._messages.figures(told, now_ns))
+                self._publish(self._messages.metrics(told, now_ns))
         self._read(now_ns)
 
     def _declare(self, domain: int) -> None:
@@ -346,9 +346,9 @@ class _Ros2Process:
         else:
             hand.handle_velocity(self._ros.read_velocity(octets), gid, now_ns)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         hand = self._hand
-        figures = Ros2Figures(
+        metrics = Ros2Metrics(
             connected=self._connected,
             subscribed=len(self._wanted),
             published={key.topic: one.sent for key, one in self._publishers.items()},
@@ -357,7 +357,7 @@ class _Ros2Process:
             refused=0 if hand is None else hand.refused,
             malformed=self._malformed,
         )
-        self._context.probe.tell(figures)
+        self._context.probe.publish(metrics)
 
 
 def _newest() -> "zenoh.handlers.RingChannel[zenoh.Sample]":

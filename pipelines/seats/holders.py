@@ -12,7 +12,7 @@ from pipelines.seats.open_page import MessageRate, PageTalker
 from pipelines.seats.plan import SeatInput, SeatPlan
 from pipelines.seats.texts import Answered, AnswerText, pack_text, parse_media_request
 from pipelines.session.access import VIEWER_WORDS, Role, place_name
-from pipelines.session.messages import OwnPicture, Ping, pack_pong, parse_media_message
+from pipelines.session.hand_messages import OwnPicture, Ping, pack_pong, parse_media_message
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent
 
@@ -24,7 +24,7 @@ class HandleState(NamedTuple):
     wanted_by: int | None = None
 
 
-class HandleOwnership:
+class HandleAuthority:
     """The pages of a seat by their numbers, and which of them holds the handle.
 
     Each `handle_` returns "" or one line that says why it was refused. A page that may only watch
@@ -111,7 +111,7 @@ class HandGate:
     Call `poll_release` after each change of the holder: the handle is let go when it changes hands.
     """
 
-    def __init__(self, ownership: HandleOwnership) -> None:
+    def __init__(self, ownership: HandleAuthority) -> None:
         self._ownership = ownership
         self._holder: int | None = None
         self._held = False
@@ -156,7 +156,7 @@ class HandGate:
 
 _MOST_WAITING = 8
 #: The joystick answers within 100 ms; it may be restarting.
-_PATIENCE_NS = NS_PER_S
+_TIMEOUT_NS = NS_PER_S
 
 
 class _Waiting(NamedTuple):
@@ -165,13 +165,13 @@ class _Waiting(NamedTuple):
     event: JoystickEvent
 
 
-class JoystickDesk:
+class JoystickClient:
     """Passes commands on by their numbers. A core.
 
     Drain `poll_transmit` and `next_event` after each `handle_`. The joystick tells only the answer
     to its newest command, so there is one under way at a time.
 
-    first_number: above those of an earlier life of this process.
+    first_number: above those of an earlier start of this process.
     """
 
     def __init__(self, first_number: int) -> None:
@@ -200,7 +200,7 @@ class JoystickDesk:
             return None
         self._open = self._waiting.popleft()
         self._number += 1
-        self._until_ns = now_ns + _PATIENCE_NS
+        self._until_ns = now_ns + _TIMEOUT_NS
         return HandRequest(self._number, self._open.event)
 
     def next_event(self) -> Answered | None:

@@ -29,7 +29,7 @@ from pipelines.media.unit_history import KeptUnit, UnitHistory
 from pipelines.seats.plan import SeatStream
 from pipelines.seats.texts import Via
 from pipelines.session.access import Role
-from pipelines.session.messages import (
+from pipelines.session.hand_messages import (
     DAMAGED,
     KEY,
     REPLAYED,
@@ -64,7 +64,7 @@ class MessageRate:
 
 _MOST_ANSWERS = 64
 _MOST_PONGS = 32
-_MOST_FIGURES = 8
+_MOST_METRICS = 8
 _MOST_HAPTICS = 25
 _MOST_SOUNDS = 15
 MOST_UNITS = 45
@@ -146,15 +146,15 @@ class ClientQueue:
         self._pongs: deque[bytes] = deque(maxlen=_MOST_PONGS)
         self._state: deque[str] = deque(maxlen=1)
         self._newest: dict[str, str] = {}
-        self._figures: deque[str] = deque(maxlen=_MOST_FIGURES)
+        self._metrics: deque[str] = deque(maxlen=_MOST_METRICS)
         self._haptics: dict[int, deque[bytes]] = {}
         self._sounds: dict[int, deque[bytes]] = {}
         self._previews: dict[int, bytes] = {}
         self.put_pong, self.put_state = self._pongs.append, self._state.append
-        self.put_figures = self._figures.append
+        self.put_metrics = self._metrics.append
 
     def __len__(self) -> int:
-        others = len(self._newest) + len(self._figures) + len(self._previews)
+        others = len(self._newest) + len(self._metrics) + len(self._previews)
         return others + sum(map(len, self._urgent)) + sum(map(len, self.lanes.values()))
 
     @property
@@ -201,8 +201,8 @@ class ClientQueue:
                 return unit
         for kind in self._newest:
             return self._newest.pop(kind)
-        if self._figures:
-            return self._figures.popleft()
+        if self._metrics:
+            return self._metrics.popleft()
         for preview in self._previews:
             return self._previews.pop(preview)
         return None

@@ -11,10 +11,10 @@ from kontur_av.errors import ConfigError
 from pipelines.media.following import board_view
 from pipelines.media.taking_over import preview_size
 from pipelines.seats import texts
-from pipelines.seats.mission_desk import application_texts
+from pipelines.seats.mission_client import application_texts
 from pipelines.session.access import Role
-from pipelines.session.figures import gathered
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
+from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import (
     JOYSTICK_TRACE_TOPIC,
@@ -40,7 +40,7 @@ from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
 from telepresence.tasks.definitions import Catalogue
-from telepresence.tasks.places import goal_paths
+from telepresence.tasks.positions import goal_paths
 from telepresence.tmtc.pus.dictionary import Dictionary
 
 

@@ -11,8 +11,8 @@ from aiohttp import web
 from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
 from pipelines.mission.supervisor import session_dictionary
-from pipelines.seats.figures import PageFigures
 from pipelines.seats.holders import Given
+from pipelines.seats.page_metrics import PageMetrics
 from pipelines.seats.plan import seat_plan, welcome_text
 from pipelines.seats.seat import Seat
 from pipelines.seats.seat_sockets import Message, SeatSockets
@@ -20,7 +20,7 @@ from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
 from pipelines.seats.texts import pack_text
 from pipelines.seats.upkeep_watch import UpkeepWatch
 from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Found, Role
-from pipelines.session.messages import MOST_SEAT_OCTETS, most_media_octets
+from pipelines.session.hand_messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.topology import PAGES, Segment
@@ -95,10 +95,10 @@ class PageServer:
 
     async def run(self) -> None:
         """Serve, and close all sockets in the end."""
-        self._context.on_flush(self._tell)
+        self._context.on_flush(self._publish)
         self._topics.open()
         if self._context.link is not None:
-            self._serving.loop.add_reader(self._context.link.fileno(), self._figures)
+            self._serving.loop.add_reader(self._context.link.fileno(), self._metrics)
         try:
             async with self._site.served("pipelines.seats", self._answer, self._sockets.close):
                 await self._serving.run()
@@ -115,9 +115,9 @@ class PageServer:
             self._settle()
         self._sockets.handle_time(now_ns)
 
-    def _figures(self) -> None:
-        while (text := self._context.receive_figures()) is not None:
-            self._seat.handle_figures(text, self._now_ns())
+    def _metrics(self) -> None:
+        while (text := self._context.receive_metrics()) is not None:
+            self._seat.handle_metrics(text, self._now_ns())
         self._settle()
 
     def _watch(self) -> None:
@@ -221,15 +221,15 @@ class PageServer:
                 raise ProtocolError("answers are not read")
             answers.put_nowait(result)
 
-    def _tell(self) -> None:
+    def _publish(self) -> None:
         sockets = self._sockets
-        self._context.probe.tell(
-            PageFigures(
+        self._context.probe.publish(
+            PageMetrics(
                 watching=self._seat.watching,
                 holder=self._seat.holder or 0,
                 connections=sockets.connections,
                 refused=dict(self._site.refused),
-                strangers_closed=self._site.closed,
+                unauthenticated_closed=self._site.closed,
                 faults=self._site.faults,
                 garbage=sockets.garbage,
                 units_left_out=self._seat.left_out,

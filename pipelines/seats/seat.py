@@ -12,15 +12,15 @@ from kontur_av.errors import ProtocolError
 from pipelines.hand.hand_topics import HandRequest, JoystickStatus
 from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
 from pipelines.seats import texts
-from pipelines.seats.figures import HOLDER, FiguresLog
-from pipelines.seats.holders import HandGate, HandleOwnership, JoystickDesk, OwnInputs
-from pipelines.seats.mission_desk import MissionDesk
+from pipelines.seats.holders import HandGate, HandleAuthority, JoystickClient, OwnInputs
+from pipelines.seats.mission_client import MissionClient
 from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
+from pipelines.seats.page_metrics import HOLDER, FiguresLog
 from pipelines.seats.plan import SeatPlan, Shown
 from pipelines.session.access import VIEWER_WORDS, Role, place_name, refusal
-from pipelines.session.figures import gathered
-from pipelines.session.messages import Ping, pack_pong, parse_seat_message
+from pipelines.session.hand_messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.mission_messages import RobotStatus
+from pipelines.session.session_metrics import gathered
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device import states
@@ -107,7 +107,7 @@ class Seat:
     and `handle_text`; these raise ProtocolError where a page is to be closed. After each `handle_`
     drain `next_event`, and send to each page what `poll_transmit` returns, as far as it takes it.
 
-    first_command: above the numbers of all commands of an earlier life of this process.
+    first_command: above the numbers of all commands of an earlier start of this process.
     """
 
     def __init__(self, plan: SeatPlan, *, first_command: int) -> None:
@@ -116,7 +116,7 @@ class Seat:
         self._numbers = count(1)
         self._pages: dict[int, OpenPage] = {}
         self.media = SeatMedia(plan.streams, self._pages)
-        self._hand = HandleOwnership()
+        self._hand = HandleAuthority()
         self._hand_over: Mapping[str, Callable[[int], str]] = {
             "take": self._hand.handle_take,
             "give": self._hand.handle_give,
@@ -124,11 +124,11 @@ class Seat:
             "refuse": self._hand.handle_refuse,
         }
         self._gate = HandGate(self._hand)
-        self._desk = JoystickDesk(first_command)
-        self.mission = MissionDesk(
+        self._service = JoystickClient(first_command)
+        self.mission = MissionClient(
             plan.segment, plan.dictionary, client=f"page.{plan.segment.value}.{first_command}"
         )
-        self._figures = FiguresLog()
+        self._metrics = FiguresLog()
         self._joystick: texts.JoystickText | None = None
         self._safety = texts.SafetyText(
             stopped=False, answered=False, by="", waiting=False, hold=""
@@ -155,7 +155,7 @@ class Seat:
     def holder(self) -> int | None:
         """Number of the page that holds the handle; ground control is told it by the launcher."""
         if self.plan.segment is Segment.GROUND:
-            return self._figures.number(HOLDER)
+            return self._metrics.number(HOLDER)
         return self._hand.state.holder
 
     def is_full(self, role: Role) -> bool:
@@ -179,13 +179,13 @@ class Seat:
         now_us = now_ns // NS_PER_US
         hello = texts.HelloText(role=role, page=number, name=name, now_us=now_us, **asdict(seat))
         page.queue.put_answer(texts.pack_text(hello))
-        self._tell_mission()
+        self._publish_mission()
         for kind, text in self.mission.texts.items():
             page.queue.put_newest(kind, text)
         page.queue.put_state(self._state_text(number, now_ns))
-        figures = self._figures.joined_text()
-        if figures is not None:
-            page.queue.put_figures(figures)
+        metrics = self._metrics.joined_text()
+        if metrics is not None:
+            page.queue.put_metrics(metrics)
         self.media.replay(page)
         return number
 
@@ -255,7 +255,7 @@ class Seat:
         if error is not None:
             self._answer(texts.Answered(number, request.request, error))
         self._settle_hand(now_ns)
-        self._settle_desk(now_ns)
+        self._settle_service(now_ns)
         self._settle_mission(now_ns)
 
     def _handle_request(
@@ -281,7 +281,7 @@ class Seat:
         match request:
             case texts.JoystickRequest():
                 event = states.JoystickEvent(request.event)
-                self._desk.handle_request(number, request.request, event)
+                self._service.handle_request(number, request.request, event)
             case texts.HandleRequest():
                 return self._hand_over[request.action](number)
             case texts.SessionRequest():
@@ -308,7 +308,9 @@ class Seat:
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
         state = states.JoystickState(status.state)
         axes = (
-            gathered(texts.AxisText, axis, place=round(axis.place, 4), force=round(axis.force, 2))
+            gathered(
+                texts.AxisText, axis, position=round(axis.position, 4), force=round(axis.force, 2)
+            )
             for axis in status.axes
         )
         told = gathered(
@@ -320,18 +322,18 @@ class Seat:
             command_age_ms=_coarse(status.command_age_ms),
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
-        self._desk.handle_status(status)
-        self._settle_desk(now_ns)
+        self._service.handle_status(status)
+        self._settle_service(now_ns)
         if told != self._joystick:
             self._joystick = told
-            self._tell_state(now_ns)
+            self._publish_state(now_ns)
 
     def handle_signal(self, heard: bool, now_ns: int) -> None:
         """Whether this end of the link hears its peer."""
         self.mission.handle_signal(heard)
         if heard != self._signal:
             self._signal = heard
-            self._tell_state(now_ns)
+            self._publish_state(now_ns)
 
     def handle_news(self, news: TmtcNews, now_ns: int) -> None:
         self.mission.handle_news(news, now_ns)
@@ -347,7 +349,7 @@ class Seat:
         """Whether an emergency stop is kept on this machine, and who ordered it."""
         if (ordered, by) != self._stop:
             self._stop = (ordered, by)
-            self._tell_state(now_ns)
+            self._publish_state(now_ns)
 
     def _hear_robot(self, stopped: bool, waiting: bool, hold: str, by: str = "") -> None:
         self._safety = texts.SafetyText(
@@ -357,19 +359,19 @@ class Seat:
     def handle_camera(self, camera: str, now_ns: int) -> None:
         if camera != self.camera:
             self.camera = camera
-            self._tell_state(now_ns)
+            self._publish_state(now_ns)
 
     def handle_answered(self, asked: PageRequest, error: str) -> None:
         """The answer of recorder, trainer or file transfer. error: "" if it does what was asked."""
         self._answer(texts.Answered(asked.page, asked.request.request, error))
 
-    def handle_figures(self, text: bytes, now_ns: int) -> None:
+    def handle_metrics(self, text: bytes, now_ns: int) -> None:
         """A message of the launcher; pages get it unchanged."""
-        self._figures.handle_figures(text)
+        self._metrics.handle_metrics(text)
         words = text.decode()
         for page in self._pages.values():
-            page.queue.put_figures(words)
-        selected = self._figures.word("processes.selector.selected")
+            page.queue.put_metrics(words)
+        selected = self._metrics.word("processes.selector.selected")
         if self.plan.segment is Segment.SPACE and selected is not None:
             self.handle_camera(selected, now_ns)
 
@@ -377,23 +379,23 @@ class Seat:
 
     def handle_time(self, now_ns: int) -> None:
         """Send the heartbeat if it is due."""
-        self._desk.handle_timeout(now_ns)
-        self._settle_desk(now_ns)
+        self._service.handle_timeout(now_ns)
+        self._settle_service(now_ns)
         self._settle_mission(now_ns)
         if now_ns >= self._due_ns:
-            self._tell_state(now_ns)
-            self._tell_mission()
+            self._publish_state(now_ns)
+            self._publish_mission()
 
-    def _tell_state(self, now_ns: int) -> None:
+    def _publish_state(self, now_ns: int) -> None:
         self._due_ns = now_ns + HEARTBEAT_NS
         for number, page in self._pages.items():
             page.queue.put_state(self._state_text(number, now_ns))
 
     def _state_text(self, number: int, now_ns: int) -> str:
         hand = self._hand.state
-        state = self._figures.word(f"gateways.{self.plan.segment.value}.supervision.state")
+        state = self._metrics.word(f"gateways.{self.plan.segment.value}.supervision.state")
         signal = state == "connected" if self._signal is None else self._signal
-        connected = signal and state in (None, "connected") and self._figures.running
+        connected = signal and state in (None, "connected") and self._metrics.running
         return texts.pack_text(
             texts.StateText(
                 now_us=now_ns // NS_PER_US,
@@ -423,9 +425,9 @@ class Seat:
         if released is not None:
             self._events.append(released)
         if self._hand.next_event() is not None:
-            self._tell_state(now_ns)
+            self._publish_state(now_ns)
 
-    def _tell_mission(self) -> None:
+    def _publish_mission(self) -> None:
         for kind, text in self.mission.poll_texts().items():
             for page in self._pages.values():
                 page.queue.put_newest(kind, text)
@@ -438,10 +440,10 @@ class Seat:
             if answered.camera:
                 self.handle_camera(answered.camera, now_ns)
 
-    def _settle_desk(self, now_ns: int) -> None:
-        while (answered := self._desk.next_event()) is not None:
+    def _settle_service(self, now_ns: int) -> None:
+        while (answered := self._service.next_event()) is not None:
             self._answer(answered)
-        command = self._desk.poll_transmit(now_ns)
+        command = self._service.poll_transmit(now_ns)
         if command is not None:
             self._events.append(command)
 

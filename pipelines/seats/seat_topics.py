@@ -42,10 +42,10 @@ from pipelines.session.terminal_lines import (
     START,
     STOP,
     RecordAnswer,
-    RecordingWish,
+    RecordingOptions,
     RecordRequest,
 )
-from pipelines.session.terminals import RECORDER_DESK
+from pipelines.session.terminals import RECORDER_SOCKET
 from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
@@ -54,7 +54,7 @@ from pipelines.session.topology import (
     TMTC_TOPICS,
     Segment,
 )
-from pipelines.session.training import TRAINER_DESK, TrainerAnswer, TrainerRequest
+from pipelines.session.training import TRAINER_SOCKET, TrainerAnswer, TrainerRequest
 from telepresence.haptics.device.page import PageInput
 from telepresence.link.gateway import Backlog
 
@@ -389,10 +389,10 @@ class SeatDeeds:
         elif isinstance(request, RecordingRequest):
             error = await ask_recorder(session, begin=request.action == "start")
         else:
-            wish = TrainerRequest(
+            options = TrainerRequest(
                 exercise=request.exercise, seconds=request.seconds, camera=request.camera
             )
-            said = await ask_process(session, TRAINER_DESK, wish, TrainerAnswer)
+            said = await ask_process(session, TRAINER_SOCKET, options, TrainerAnswer)
             error = said if isinstance(said, str) else "" if said.ok else said.text
         self._seat.handle_answered(asked, error)
         self._settle()
@@ -408,7 +408,7 @@ async def ask_recorder(session: str, *, begin: bool) -> str:
     if begin:
         instant = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         path = Path.cwd() / f"{session}-{instant}.mcap"
-        wish = RecordingWish(file=os.fspath(path), command="the page of ground control")
-        request = RecordRequest(record=START, wish=wish)
-    said = await ask_process(session, RECORDER_DESK, request, RecordAnswer)
+        options = RecordingOptions(file=os.fspath(path), command="the page of ground control")
+        request = RecordRequest(record=START, options=options)
+    said = await ask_process(session, RECORDER_SOCKET, request, RecordAnswer)
     return said if isinstance(said, str) else "" if said.ok else said.error

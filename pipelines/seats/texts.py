@@ -154,7 +154,7 @@ class AxisText(msgspec.Struct, frozen=True, kw_only=True):
     """An axis of the joystick behind x and y: m and N, of rotations rad and N m."""
 
     name: str
-    place: float
+    position: float
     half_range: float
     force: float
     force_limit: float

@@ -13,8 +13,8 @@ import msgspec
 from kontur_av.clock import NS_PER_S
 from pipelines.seats.seat import Seat
 from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText
-from pipelines.session.figures import gathered
 from pipelines.session.serving_loop import ServingLoop
+from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.segments import Segment
 from pipelines.session.terminal_lines import (
     MAX_LINE_OCTETS,
@@ -22,11 +22,11 @@ from pipelines.session.terminal_lines import (
     FileAnswer,
     FileRequest,
     TransferNow,
-    desk_name,
     pack_line,
     parse_line,
+    socket_name,
 )
-from pipelines.session.terminals import desk_path
+from pipelines.session.terminals import request_socket
 from telepresence.files.entity import WAITING
 from telepresence.files.pdus import GET
 from telepresence.malformed import MALFORMED
@@ -65,7 +65,7 @@ class Transfers:
 
 
 #: A recorder answers once its file is written, which takes long on a slow disk.
-_PATIENCE_S: Final = 15.0
+_TIMEOUT_S: Final = 15.0
 _EVERY_NS: Final = NS_PER_S
 #: The folder of fetched files, below the directory of the ground.
 FETCHED: Final = "fetched"
@@ -74,33 +74,33 @@ _Answer = TypeVar("_Answer", bound=msgspec.Struct)
 
 
 async def ask_process(
-    session: str, desk: str, request: msgspec.Struct, answer: type[_Answer]
+    session: str, service: str, request: msgspec.Struct, answer: type[_Answer]
 ) -> _Answer | str:
     """Return the answer of a session's process to a request, or in words why there is none.
 
-    desk: the name of its socket. answer: the type.
+    service: the name of its socket. answer: the type.
     """
     try:
         reader, writer = await asyncio.open_unix_connection(
-            os.fspath(desk_path(session, desk)), limit=MAX_LINE_OCTETS
+            os.fspath(request_socket(session, service)), limit=MAX_LINE_OCTETS
         )
     except OSError:
-        return f"the session's {desk} is not running"
+        return f"the session's {service} is not running"
     try:
         writer.write(pack_line(request))
-        async with asyncio.timeout(_PATIENCE_S):
+        async with asyncio.timeout(_TIMEOUT_S):
             said = parse_line(await reader.readline(), answer)
     except (OSError, ValueError, TimeoutError):
         said = None
     finally:
         writer.close()
-    return f"the session's {desk} has ended before it answered" if said is None else said
+    return f"the session's {service} has ended before it answered" if said is None else said
 
 
 async def fetch(session: str, segment: Segment, inbox: str) -> str:
     """Begin to fetch the status of a keeper at the other end; return "", or why that fails."""
     asked = FileRequest(file=GET, first=f"{inbox}/{TOLD}", second=f"{FETCHED}/{inbox}/{TOLD}")
-    said = await ask_process(session, desk_name(segment), asked, FileAnswer)
+    said = await ask_process(session, socket_name(segment), asked, FileAnswer)
     return said if isinstance(said, str) else "" if said.ok else said.text
 
 
@@ -157,7 +157,7 @@ class UpkeepWatch:
         transfers: list[TransferText] = []
         for segment in self._directories:
             asked = FileRequest(file=STATUS)
-            said = await ask_process(self._session, desk_name(segment), asked, FileAnswer)
+            said = await ask_process(self._session, socket_name(segment), asked, FileAnswer)
             listed = () if isinstance(said, str) else said.transfers
             transfers += self._transfers.handle_list(segment, listed, self._now_ns())
         # A slow disk must not hold up what other pages are sent.

@@ -1,7 +1,7 @@
 """The people of a session, what each may open and ask for, and how many stay connected. A core.
 
 A token in the address identifies the user; the host must be a name of the seat. A client without a
-token is a stranger. Its connection is closed after `STRANGER_NS`, and the oldest such connection
+token is an unknown sender. Its connection is closed after `UNKNOWN_SENDER_NS`, and the oldest such connection
 makes room for a new one. So idle connections take few descriptors, and never keep out a user with
 a token.
 """
@@ -192,7 +192,7 @@ class Access:
             kind = AccessKind.SEAT if parts[1] == "ws" else AccessKind.MEDIA
             token, name = parts[0], ""
         else:
-            # A stranger is not told whether a path exists.
+            # An unknown sender is not told whether a path exists.
             kind, token, name = AccessKind.FILE, parts[0] if parts else "", ""
         role = self._role_of(token)
         if role is None:
@@ -222,7 +222,7 @@ class Access:
 
 
 def is_token(given: str, own: str) -> bool:
-    """Whether a stranger has given the token, compared in constant time."""
+    """Whether an unknown sender has given the token, compared in constant time."""
     return hmac.compare_digest(given.encode("utf-8", "surrogateescape"), own.encode())
 
 
@@ -263,14 +263,14 @@ def headers(host: str) -> dict[str, str]:
     }
 
 
-#: Connections in all; of strangers in all, and from one address; of those who only watch.
-MOST_CONNECTIONS, MOST_STRANGERS, MOST_OF_ADDRESS, MOST_WATCHING = 256, 64, 32, 128
-#: A stranger's longest time, and the longest that TLS may take to agree on keys.
-STRANGER_NS = 10 * NS_PER_S
+#: Connections in all; of unknown senders in all, and from one address; of those who only watch.
+MOST_CONNECTIONS, MOST_UNAUTHENTICATED, MOST_OF_ADDRESS, MOST_WATCHING = 256, 64, 32, 128
+#: An unknown sender's longest time, and the longest that TLS may take to agree on keys.
+UNKNOWN_SENDER_NS = 10 * NS_PER_S
 HANDSHAKE_S = 5.0
 
 
-class Doorway:
+class ConnectionLimits:
     """Connections by numbers that the caller chooses. Close those that the methods return.
 
     closed: connections that were closed so far, to make room or for their time.
@@ -279,22 +279,22 @@ class Doorway:
     def __init__(self) -> None:
         self.closed = 0
         #: By number, oldest first: address, and when it came.
-        self._strangers: dict[int, tuple[str, int]] = {}
+        self._unauthenticated: dict[int, tuple[str, int]] = {}
         #: By number, oldest first: whether it only watches.
         self._known: dict[int, bool] = {}
 
     def __len__(self) -> int:
-        return len(self._strangers) + len(self._known)
+        return len(self._unauthenticated) + len(self._known)
 
     def handle_accepted(self, number: int, address: str, now_ns: int) -> list[int]:
         """A connection has come; return those to close, which may be itself."""
-        self._strangers[number] = (address, now_ns)
+        self._unauthenticated[number] = (address, now_ns)
         closing = []
-        same = [one for one, (host, _) in self._strangers.items() if host == address]
+        same = [one for one, (host, _) in self._unauthenticated.items() if host == address]
         if len(same) > MOST_OF_ADDRESS:
             closing.append(same[0])
-        elif len(self._strangers) > MOST_STRANGERS or len(self) > MOST_CONNECTIONS:
-            closing.append(next(iter(self._strangers)))
+        elif len(self._unauthenticated) > MOST_UNAUTHENTICATED or len(self) > MOST_CONNECTIONS:
+            closing.append(next(iter(self._unauthenticated)))
         return self._close(closing)
 
     def handle_known(self, number: int, *, watches: bool = False) -> list[int]:
@@ -302,20 +302,24 @@ class Doorway:
 
         So viewers never take the connections of operators.
         """
-        if self._strangers.pop(number, None) is None:
+        if self._unauthenticated.pop(number, None) is None:
             return []
         self._known[number] = watches
         watching = [one for one, only in self._known.items() if only]
         return self._close(watching[: max(0, len(watching) - MOST_WATCHING)])
 
     def handle_closed(self, number: int) -> None:
-        self._strangers.pop(number, None)
+        self._unauthenticated.pop(number, None)
         self._known.pop(number, None)
 
     def handle_time(self, now_ns: int) -> list[int]:
-        """Return the connections of strangers whose time is over."""
+        """Return the connections of unknown senders whose time is over."""
         return self._close(
-            [one for one, (_, since) in self._strangers.items() if now_ns - since >= STRANGER_NS]
+            [
+                one
+                for one, (_, since) in self._unauthenticated.items()
+                if now_ns - since >= UNKNOWN_SENDER_NS
+            ]
         )
 
     def _close(self, closing: list[int]) -> list[int]:

@@ -162,20 +162,20 @@ def open_peer(bind: Address, peer: Address) -> tuple[socket.socket, socket.socke
     """Open two sockets on the same port: one for datagrams of `peer`, one for all others.
 
     The kernel prefers a connected UDP socket (udp(7)). Each socket has its own queue, so no
-    stranger can push out a frame of the peer.
+    unknown sender can push out a frame of the peer.
     """
-    strangers, ours = _socket(), _socket()
-    for udp in (strangers, ours):
+    unknown_senders, ours = _socket(), _socket()
+    for udp in (unknown_senders, ours):
         udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         udp.bind(bind)
-    for udp in (strangers, ours):
+    for udp in (unknown_senders, ours):
         # No other program may share the port.
         udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
     ours.connect(peer)
     # Before connect(2) the socket accepted datagrams of any host: drop them.
     while receive(ours, 1) is not None:
         pass
-    return ours, strangers
+    return ours, unknown_senders
 
 
 def own_path(session: str, port: int) -> str:
@@ -234,7 +234,7 @@ class OwnOutlet:
 class OwnInlet:
     """A port of the link that only the session's own processes reach; as `Inlet`."""
 
-    strangers = 0
+    unknown_senders = 0
 
     def __init__(self, udp: socket.socket) -> None:
         self.udp = udp
@@ -244,13 +244,13 @@ class OwnInlet:
 class Inlet:
     """A port of the link that accepts datagrams of one host.
 
-    receive: returns the next datagram, or None. A stranger's datagram gives None, too.
-    strangers: the number of those.
+    receive: returns the next datagram, or None. An unknown sender's datagram gives None, too.
+    unknown_senders: the number of those.
     """
 
     def __init__(self, bind: Address, host: str) -> None:
         self.udp = listen(bind)
-        self.strangers = 0
+        self.unknown_senders = 0
         self._host = host
         # Only this machine reaches its loopback, and recvfrom(2) costs a third more time.
         local = host == LOOPBACK and is_loopback(bind[0])
@@ -264,7 +264,7 @@ class Inlet:
         except OSError:
             return None
         if sender[0] != self._host:
-            self.strangers += 1
+            self.unknown_senders += 1
             return None
         return data
 

@@ -26,7 +26,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.session_files import partial_of, replace_file, session_root
-from pipelines.session.figures import Event
+from pipelines.session.session_metrics import Event
 from telepresence.malformed import MALFORMED
 
 T = TypeVar("T", bound=msgspec.Struct)

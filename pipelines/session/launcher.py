@@ -39,7 +39,7 @@ _SHOW_NS = NS_PER_S
 #: How often pages get figures.
 FEED_NS = 500 * NS_PER_MS
 _MESSAGE_OCTETS = 1 << 20
-#: The exit status of a process whose user's part is to be mended first.
+#: The exit status of a process whose user's part is to be fixed first.
 _BROKEN = 3
 _LOOK_NS = 100 * NS_PER_MS
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -52,9 +52,9 @@ class Listener(Protocol):
         """A process has sent figures."""
 
     def handle_exit(self, process: str, error: str) -> None:
-        """A process has ended; its counters begin at 0 in its next life.
+        """A process has ended; its counters begin at 0 in its next start.
 
-        error: why the newest life that failed ended, in one line; "" if none has failed.
+        error: why the newest start that failed ended, in one line; "" if none has failed.
         """
 
     def handle_resumed(self, now_ns: int) -> None:
@@ -83,17 +83,17 @@ class Child:
     restarts: int = 0
     ended_cpu_s: float = 0.0
     last_error: str = ""
-    #: Whether its present life only takes the power of its device.
+    #: Whether its present start only takes the power of its device.
     takes_power: bool = False
     #: Whether the launcher has killed it.
     killed: bool = False
-    #: When its present life has reported last; 0 before.
+    #: When its present start has reported last; 0 before.
     told_ns: int = 0
     #: Whether it ran when the end of the session began.
     ran: bool = False
-    #: The error that the present life has reported before its end.
+    #: The error that the present start has reported before its end.
     told_error: str = ""
-    #: Whether it is not to run: its present life, if any, is to end.
+    #: Whether it is not to run: its present start, if any, is to end.
     stopped: bool = False
     policy: session_switch.RestartPolicy = field(init=False)
     health: ProcessHealth = field(init=False)
@@ -413,7 +413,7 @@ class Launcher:
                 context.flush(self.clock.now_ns())
             except Exception:
                 # Filling in the counters may have failed itself.
-                context.send_figures(self.clock.now_ns())
+                context.send_metrics(self.clock.now_ns())
             return _BROKEN if isinstance(error, PartError) else 1
         return 0
 
@@ -466,7 +466,7 @@ class Launcher:
 
     def _await(self, child: Child) -> None:
         """Wait until a process has reported, or does not within its time."""
-        until_ns = self.clock.now_ns() + session_switch.PATIENCE_NS
+        until_ns = self.clock.now_ns() + session_switch.TIMEOUT_NS
         while child.pid is not None and not child.told_ns and not self._stop:
             left_ns = until_ns - self.clock.now_ns()
             if left_ns <= 0:
@@ -490,7 +490,7 @@ class Launcher:
                 if number == signal.SIGKILL and child.pid is not None and not child.takes_power:
                     child.health.handle_killed()
                 self._signal(child, number)
-            left_ns = session_switch.PATIENCE_NS
+            left_ns = session_switch.TIMEOUT_NS
             while any(self._takes_power(child) for child in children) or (
                 left_ns > 0 and any(child.pid is not None for child in children)
             ):

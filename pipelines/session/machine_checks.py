@@ -1,4 +1,4 @@
-"""Checks that this machine has what a session needs; each names the mend.
+"""Checks that this machine has what a session needs; each names the fix.
 
 Each check tries the thing itself: it codes a picture, publishes a sample, or keeps a 1 kHz
 schedule. Its verdict is `ok`; `missing` (a session cannot run); or `advice` (it can be better).
@@ -37,11 +37,11 @@ _LIMITS = (
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """The result of a check. mend: what the user can do; empty if nothing is wrong."""
+    """The result of a check. fix: what the user can do; empty if nothing is wrong."""
 
     state: Literal["ok", "missing", "advice"]
     found: str
-    mend: str = ""
+    fix: str = ""
 
 
 Check = tuple[str, Callable[[], Finding]]
@@ -60,8 +60,8 @@ def check_python() -> Finding:
     # pyproject.toml refuses older versions of Python.
     found = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
     if platform.system() != "Linux":
-        mend = "use Linux, also in a virtual machine, in WSL 2 or in a container"
-        return Finding("missing", found, mend)
+        fix = "use Linux, also in a virtual machine, in WSL 2 or in a container"
+        return Finding("missing", found, fix)
     return Finding("ok", found)
 
 
@@ -70,10 +70,10 @@ def check_h264() -> Finding:
     import av
     import numpy as np
 
-    mend = "install PyAV from its wheel (pip install --only-binary av av)"
+    fix = "install PyAV from its wheel (pip install --only-binary av av)"
     for codec, mode in (("libx264", "w"), ("h264", "r")):
         if codec not in av.codecs_available:
-            return Finding("missing", f"PyAV {av.__version__} without {codec} ({mode})", mend)
+            return Finding("missing", f"PyAV {av.__version__} without {codec} ({mode})", fix)
     encoder = av.codec.CodecContext.create("libx264", "w")
     assert isinstance(encoder, av.VideoCodecContext)
     encoder.width, encoder.height, encoder.pix_fmt = 64, 64, "yuv420p"
@@ -85,7 +85,7 @@ def check_h264() -> Finding:
     assert isinstance(decoder, av.VideoCodecContext)
     pictures = [p for packet in packets for p in decoder.decode(packet)] + decoder.decode(None)
     if len(pictures) != 1:
-        return Finding("missing", f"PyAV {av.__version__} codes, but does not decode", mend)
+        return Finding("missing", f"PyAV {av.__version__} codes, but does not decode", fix)
     return Finding("ok", f"PyAV {av.__version__}, libx264 and h264, one picture there and back")
 
 
@@ -94,8 +94,8 @@ def check_h265() -> Finding:
 
     for codec in ("libx265", "hevc"):
         if codec not in av.codecs_available:
-            mend = 'leave codec = "h265" out, or install PyAV from its wheel'
-            return Finding("advice", f"PyAV {av.__version__} without {codec}", mend)
+            fix = 'leave codec = "h265" out, or install PyAV from its wheel'
+            return Finding("advice", f"PyAV {av.__version__} without {codec}", fix)
     return Finding("ok", "libx265 and hevc")
 
 

@@ -3,7 +3,7 @@
 | topic | writer | content |
 |---|---|---|
 | `robot/order` | tasks | `RobotOrder`: the kernel's newest orders to the robot controller |
-| `mission/camera` | tasks | `CameraWish`: the camera that a task selects |
+| `mission/camera` | tasks | `CameraRequest`: the camera that a task selects |
 | `robot/command` | selector | `RobotCommand`: a telecommand to the robot controller |
 | `robot/status` | robot | `RobotStatus`: what the robot controller does |
 | `mission/panel` | panel | `PanelShown`: what the mission control panel shows |
@@ -16,7 +16,7 @@ from typing import Annotated, Literal, TypeVar
 import msgspec
 
 from kontur_av.errors import ProtocolError, refused
-from pipelines.session.figures import gathered
+from pipelines.session.session_metrics import gathered
 from telepresence.malformed import MALFORMED
 from telepresence.tasks.definitions import ControlMode, Pattern
 from telepresence.tasks.panel_picture import PanelPicture
@@ -27,7 +27,7 @@ _Octet = Annotated[int, msgspec.Meta(ge=0, le=255)]
 
 
 class RobotOrder(msgspec.Struct, frozen=True, array_like=True):
-    """An order. number: grows, also over lives of the sender. on: of "power".
+    """An order. number: grows, also over starts of the sender. on: of "power".
 
     mode: of "mode". x_m, y_m: of "move".
     """
@@ -52,7 +52,7 @@ class RobotCommand(msgspec.Struct, frozen=True, array_like=True):
 
 
 class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """The robot controller. life: of its process. handled: number of the newest order.
+    """The robot controller. boot_id: of its process. handled: number of the newest order.
 
     x_m, y_m: of the tip. push_n: the board's force. goal_m: where it rests after a move.
     fault: one line, "" for none. error: its kind, a `telepresence.tasks.robot_control.Fault`.
@@ -66,7 +66,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     partner: of the partner's robot, "none", "absent", "ready" or "driven".
     """
 
-    life: int
+    boot_id: int
     powered: bool
     mode: ControlMode
     x_m: float
@@ -92,7 +92,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     stopped_by: str = ""
 
 
-class CameraWish(msgspec.Struct, frozen=True, array_like=True):
+class CameraRequest(msgspec.Struct, frozen=True, array_like=True):
     """The camera that a task selects. number: grows with each."""
 
     number: int
@@ -185,7 +185,13 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 
 
 Message = (
-    CameraWish | RobotOrder | RobotCommand | RobotStatus | PanelShown | ExperimentShown | LedsShown
+    CameraRequest
+    | RobotOrder
+    | RobotCommand
+    | RobotStatus
+    | PanelShown
+    | ExperimentShown
+    | LedsShown
 )
 #: One of them.
 MessageT = TypeVar("MessageT", bound=Message)

@@ -176,13 +176,13 @@ def _bind(host: PageHost, port: int) -> socket.socket:
             listener.close()
             if error.errno == errno.EADDRINUSE:
                 continue
-            raise ConfigError(f"--page {host.host}:{candidate}: {_mend(error)}") from None
+            raise ConfigError(f"--page {host.host}:{candidate}: {_fix(error)}") from None
         listener.setblocking(False)
         return listener
     raise ConfigError(f"--page: TCP ports {port} to {last} are busy: give another one")
 
 
-def _mend(error: OSError) -> str:
+def _fix(error: OSError) -> str:
     if error.errno == errno.EADDRNOTAVAIL:
         return "no address of this machine: take one of its own"
     if error.errno == errno.EACCES:

@@ -14,7 +14,7 @@ from itertools import chain
 from typing import Any, Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.session.figures import ProbeFigures, Row
+from pipelines.session.session_metrics import ProbeMetrics, Row
 from pipelines.session.session_switch import Order, ProcessOrder
 
 FLUSH_NS = 500 * NS_PER_MS
@@ -60,7 +60,7 @@ class Series(Generic[RowT]):
 class Message:
     """One message of one process.
 
-    figures: records of what was counted, one of each kind; of each stream for those that are about
+    metrics: records of what was counted, one of each kind; of each stream for those that are about
         streams.
     series: single events, such as packets, in the order in which their series were begun.
     scheduler: `fifo` with real-time priority, `other` without the permission for it; "" for a
@@ -69,28 +69,28 @@ class Message:
     orders: what ground control ordered on a page, and telecommands of processes, oldest first.
     """
 
-    figures: dict[tuple[type, str], object] = field(default_factory=dict)
+    metrics: dict[tuple[type, str], object] = field(default_factory=dict)
     series: list[Series[Any]] = field(default_factory=list)
     scheduler: str = ""
     last_error: str = ""
     orders: list[Order | ProcessOrder] = field(default_factory=list)
 
-    def tell(self, record: object, stream: str = "") -> None:
+    def publish(self, record: object, stream: str = "") -> None:
         """Set a record to its present values. stream: the one that it is about, if any."""
-        self.figures[type(record), stream] = record
+        self.metrics[type(record), stream] = record
 
     def pack(self) -> bytes:
         """Return the message as octets, without its empty series."""
         series = [(one.kind, one.stream, one.values) for one in self.series if one.values]
-        told = self.figures, series, self.scheduler, self.last_error, self.orders
+        told = self.metrics, series, self.scheduler, self.last_error, self.orders
         return pickle.dumps(told, pickle.HIGHEST_PROTOCOL)
 
     @classmethod
     def unpack(cls, data: bytes) -> Message:
         """Unpack a message. Unpickling is safe: only our own process writes to the socket."""
-        figures, series, scheduler, last_error, orders = pickle.loads(data)
+        metrics, series, scheduler, last_error, orders = pickle.loads(data)
         told = [Series(*one) for one in series]
-        return cls(figures, told, scheduler, last_error, orders)
+        return cls(metrics, told, scheduler, last_error, orders)
 
 
 class Probe:
@@ -101,7 +101,7 @@ class Probe:
 
     def __init__(self) -> None:
         self.message = Message()
-        self.tell = self.message.tell
+        self.publish = self.message.publish
         self._series: dict[tuple[object, str], Series[Any]] = {}
         self._due_ns = 0
         #: Values dropped because the launcher did not keep up.
@@ -110,7 +110,7 @@ class Probe:
     def series(self, kind: type[RowT], stream: str = "") -> Series[RowT]:
         """Return the series of rows of `kind`, of `stream` if the process has several.
 
-        It is the same object during the life of the probe, so a fast loop may keep it.
+        It is the same object during the start of the probe, so a fast loop may keep it.
         """
         found = self._series.get((kind, stream))
         if found is None:
@@ -134,5 +134,5 @@ class Probe:
             if len(series.values) > _MAX_SERIES_VALUES:
                 # All of them, because a cut row would shift all that follow.
                 self.dropped_values += len(series.values)
-                self.tell(ProbeFigures(probe_values_dropped=self.dropped_values))
+                self.publish(ProbeMetrics(probe_values_dropped=self.dropped_values))
                 del series.values[:]

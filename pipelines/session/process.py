@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
 
 #: The longest sleep of a process before it checks whether to end.
-PATIENCE_NS = 100 * NS_PER_MS
+TIMEOUT_NS = 100 * NS_PER_MS
 
 
 def wait_ns(now_ns: int, *dues_ns: int | None) -> int:
-    """Return how long to sleep until the first of these instants, at most `PATIENCE_NS`."""
+    """Return how long to sleep until the first of these instants, at most `TIMEOUT_NS`."""
     waits_ns = [due_ns - now_ns for due_ns in dues_ns if due_ns is not None]
-    return max(0, min([PATIENCE_NS, *waits_ns]))
+    return max(0, min([TIMEOUT_NS, *waits_ns]))
 
 
 #: Collect garbage once in this many flushes, twice a minute. It takes 0.1 to 0.3 ms, for pages 3.
 _COLLECT_EVERY = 60
 
 #: The longest message of the launcher to a process.
-MAX_FIGURES_OCTETS = 1 << 20
+MAX_METRICS_OCTETS = 1 << 20
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
@@ -46,10 +46,10 @@ _PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
 class Context:
     """The argument of a process's function.
 
-    The function returns when `stopping` is set, and calls `tick` at least every `PATIENCE_NS`.
+    The function returns when `stopping` is set, and calls `tick` at least every `TIMEOUT_NS`.
 
     link: the socket to the launcher; None: nobody takes the figures.
-    started_ns: when the session began, the same for all lives of a process.
+    started_ns: when the session began, the same for all starts of a process.
     seed: of the radio's random events.
     pages: by process, where its browser pages are served.
     takes_power: only take the power of the device: the life before could not.
@@ -137,9 +137,9 @@ class Context:
     def flush(self, now_ns: int) -> None:
         for fill in self._fill:
             fill()
-        self.send_figures(now_ns)
+        self.send_metrics(now_ns)
 
-    def send_figures(self, now_ns: int) -> None:
+    def send_metrics(self, now_ns: int) -> None:
         """Send what the probe has collected; what the launcher cannot take stays there."""
         told = True
         if self.link is not None:
@@ -154,16 +154,16 @@ class Context:
         self.probe.message.orders.append(order)
         self.flush(now_ns)
 
-    def receive_figures(self) -> bytes | None:
+    def receive_metrics(self) -> bytes | None:
         """Return the launcher's next message for pages, one JSON text, or None.
 
         It never blocks. `link` becomes readable when a message waits, so that an event loop can
-        watch `link.fileno()`. Messages come only while `PageFigures` says that somebody watches.
+        watch `link.fileno()`. Messages come only while `PageMetrics` says that somebody watches.
         """
         if self.link is None:
             return None
         try:
-            return self.link.recv(MAX_FIGURES_OCTETS, socket.MSG_DONTWAIT) or None
+            return self.link.recv(MAX_METRICS_OCTETS, socket.MSG_DONTWAIT) or None
         except OSError:
             return None
 

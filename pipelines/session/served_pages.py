@@ -48,7 +48,7 @@ _SEATS = (Segment.SPACE, Segment.GROUND)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServerWish:
+class ServerOptions:
     """A server as an option asks for it. sockets: bound, by the names of its listeners.
 
     certificate: the user's own.
@@ -60,7 +60,7 @@ class ServerWish:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PageWish(ServerWish):
+class PageOptions(ServerOptions):
     """The pages, by the seats' names. browser: whether to open the first in one."""
 
     browser: bool = False
@@ -83,25 +83,25 @@ def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]
 
 def bound_server(
     text: str | None, name: str, option: str = "--page", certificate: Path | None = None
-) -> ServerWish:
+) -> ServerOptions:
     """Bind the one listener `name` at `text`, as of `parse_page`; ConfigError if that cannot be."""
     host, port = parse_page(text, option)
     if certificate is not None:
         check_certificate(certificate)
-    return ServerWish(host=host, sockets=bind_pages(host, port, [name]), certificate=certificate)
+    return ServerOptions(host=host, sockets=bind_pages(host, port, [name]), certificate=certificate)
 
 
 @contextmanager
 def served(
-    wish: ServerWish, root: Path, name: str, *, trainer: bool = False
+    options: ServerOptions, root: Path, name: str, *, trainer: bool = False
 ) -> Iterator[tuple[Mapping[str, PageListener], str]]:
     """Yield the listeners, and the SHA-256 of a certificate that was made for them, or "".
 
     root: where such a certificate is kept, as `name`.pem. trainer: one has a page, too.
     """
-    certificate, made = certificate_for(wish.host, wish.certificate, root / f"{name}.pem")
+    certificate, made = certificate_for(options.host, options.certificate, root / f"{name}.pem")
     pem = certificate and certificate.resolve()
-    found = listeners(wish.sockets, wish.host, pem, trainer=trainer)
+    found = listeners(options.sockets, options.host, pem, trainer=trainer)
     try:
         yield found, made
     finally:
@@ -111,7 +111,7 @@ def served(
 
 @contextmanager
 def announced_pages(
-    wish: PageWish | None,
+    options: PageOptions | None,
     session: str,
     *,
     quiet: bool,
@@ -124,11 +124,11 @@ def announced_pages(
     for programs of this user.
     tasks, trainer: whether the session has any.
     """
-    if wish is None:
+    if options is None:
         yield {}
         return
     root = session_root(session)
-    with served(wish, root, "page", trainer=trainer) as (seats, made):
+    with served(options, root, "page", trainer=trainer) as (seats, made):
         urls = {seat: listener.url(seat) for seat, listener in seats.items()}
         people = {
             name: seats[seat].url(page, role=role.value)
@@ -146,7 +146,7 @@ def announced_pages(
             if made:
                 lines.append(f"certificate made for this session, SHA-256 {made}")
             say("\n".join(lines))
-        if wish.browser:
+        if options.browser:
             _open_in_browser(address, root)
         yield {PAGES[Segment(name)]: listener for name, listener in seats.items()}
 
@@ -208,7 +208,9 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def bound_pages(args: argparse.Namespace, segments: Sequence[Segment] = _SEATS) -> PageWish | None:
+def bound_pages(
+    args: argparse.Namespace, segments: Sequence[Segment] = _SEATS
+) -> PageOptions | None:
     """Bind what the options ask for; None without pages. segments: those that run here.
 
     Raises ConfigError for options that contradict each other, for an address that cannot be had,
@@ -225,4 +227,6 @@ def bound_pages(args: argparse.Namespace, segments: Sequence[Segment] = _SEATS) 
         check_certificate(args.page_cert)
     seats = [segment.value for segment in _SEATS if segment in segments]
     sockets = bind_pages(host, port, seats)
-    return PageWish(host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open))
+    return PageOptions(
+        host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open)
+    )

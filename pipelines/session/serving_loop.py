@@ -10,13 +10,13 @@ from typing import Any
 from kontur_av.clock import NS_PER_S
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from kontur_av.topics.notifier import WaitSet
-from pipelines.session.process import PATIENCE_NS, Context
+from pipelines.session.process import TIMEOUT_NS, Context
 
 
 class ServingLoop:
     """What runs on the event loop of one process.
 
-    handle_time: called at every tick but the last, at least every `PATIENCE_NS`.
+    handle_time: called at every tick but the last, at least every `TIMEOUT_NS`.
     """
 
     def __init__(self, context: Context, handle_time: Callable[[int], None]) -> None:
@@ -53,7 +53,7 @@ class ServingLoop:
             if not self._ended.done():
                 self._ended.set_result(None)
             return
-        self.loop.call_later(PATIENCE_NS / NS_PER_S, self._tick)
+        self.loop.call_later(TIMEOUT_NS / NS_PER_S, self._tick)
         self._handle_time(now_ns)
 
     def _handle_done(self, task: "asyncio.Task[None]") -> None:

@@ -11,7 +11,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.session.topology import Stage
 
 #: The time that processes have to end by themselves.
-PATIENCE_NS = 3 * NS_PER_S
+TIMEOUT_NS = 3 * NS_PER_S
 #: The time to take the power of a device.
 POWER_OFF_NS = 45 * NS_PER_S
 
@@ -77,7 +77,7 @@ class SessionSwitch:
             if self.activity is Activity.RUNNING:
                 self.activity = Activity.STOPPING
                 self.changed_ns = self._since_ns = now_ns
-                self._kill_ns = now_ns + PATIENCE_NS
+                self._kill_ns = now_ns + TIMEOUT_NS
                 self._actions.append(SwitchAction.END)
         elif self.activity is Activity.STOPPED:
             self._start(now_ns)
@@ -133,8 +133,8 @@ class SessionSwitch:
 FIRST_PAUSE_NS = 50 * NS_PER_MS
 LONGEST_PAUSE_NS = NS_PER_S
 #: After a life this long, the pauses begin anew.
-GOOD_LIFE_NS = 5 * NS_PER_S
-#: After so many lives that ended early with what no further life mends, there is none.
+GOOD_LIFETIME_NS = 5 * NS_PER_S
+#: After so many starts that ended early with what no further life fixes, there is none.
 MOST_BROKEN = 3
 #: A restarted sender does not know what its predecessor sent. So that the cap holds over any
 #: second, no second may contain both. The 10 ms are the guard of `Budget`.
@@ -152,13 +152,13 @@ def lacks_room(last_error: str) -> bool:
 
 
 class RestartPolicy:
-    """The pauses between the lives of one process.
+    """The pauses between the starts of one process.
 
-    Call `handle_start` for each life, and `handle_end` or `handle_stop` at its end. Start the next
+    Call `handle_start` for each start, and `handle_end` or `handle_stop` at its end. Start the next
     one when `poll_timeout` says. `handle_wanted` keeps it from that, and allows it again; kill a
     life that has not ended at `poll_kill`.
 
-    wanted: whether it is to run. hopeless: no further life mends it.
+    wanted: whether it is to run. hopeless: no further life fixes it.
     """
 
     def __init__(self, stage: Stage) -> None:
@@ -174,16 +174,16 @@ class RestartPolicy:
     def handle_start(self, now_ns: int) -> None:
         self._started_ns, self._due_ns, self._kill_ns = now_ns, None, None
 
-    def handle_wanted(self, wanted: bool, now_ns: int, patience_ns: int = PATIENCE_NS) -> None:
+    def handle_wanted(self, wanted: bool, now_ns: int, timeout_ns: int = TIMEOUT_NS) -> None:
         """From now on it is to run, or not. One that is to end has been asked to."""
         self.wanted = wanted
         if not wanted:
-            self._kill_ns = now_ns + patience_ns
+            self._kill_ns = now_ns + timeout_ns
 
     def handle_end(self, now_ns: int, *, broken: bool = False) -> None:
-        """The present life has ended. broken: with what no further life mends."""
+        """The present start has ended. broken: with what no further life fixes."""
         assert self._started_ns is not None
-        early = now_ns - self._started_ns < GOOD_LIFE_NS
+        early = now_ns - self._started_ns < GOOD_LIFETIME_NS
         self._broken = self._broken + 1 if broken and early else 0
         self.hopeless = self._broken >= MOST_BROKEN
         if not early:
@@ -192,12 +192,12 @@ class RestartPolicy:
         self._pause_ns = min(2 * self._pause_ns, LONGEST_PAUSE_NS)
 
     def handle_stop(self, now_ns: int) -> None:
-        """The present life has ended because that was asked for."""
+        """The present start has ended because that was asked for."""
         self._pause_ns = FIRST_PAUSE_NS
         self._due_ns = now_ns + self._rest_ns
 
     def poll_timeout(self) -> int | None:
-        """Return when to start the next life; None during a life, before the first, if unwanted."""
+        """Return when to start the next start; None during a life, before the first, if unwanted."""
         return self._due_ns if self.wanted else None
 
     def poll_kill(self) -> int | None:

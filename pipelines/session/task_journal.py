@@ -70,7 +70,7 @@ class LinkMeanwhile(NamedTuple):
 class TaskJournal:
     """Takes the events of an experiment; `report` has a row for each run.
 
-    earlier: rows of an earlier life. keeper: of the present run, while the cosmonaut drives.
+    earlier: rows of an earlier start. keeper: of the present run, while the cosmonaut drives.
     """
 
     def __init__(self, earlier: Sequence[TaskRow] = ()) -> None:
@@ -111,7 +111,7 @@ class TaskJournal:
 
     @property
     def closed(self) -> tuple[TaskRow, ...]:
-        """The newest runs that are over, for a next life."""
+        """The newest runs that are over, for a next start."""
         return tuple(self._rows[-KEPT:])
 
     def _add_step(self, event: Logged) -> None:
@@ -145,7 +145,7 @@ class TaskJournal:
 
 #: The result of a run that the end of the session cut off.
 OPEN = "open"
-#: So many of the newest runs are told, and known to a next life. The collector keeps all.
+#: So many of the newest runs are told, and known to a next start. The collector keeps all.
 KEPT = 20
 #: In the order of Fig. 14.
 STEPS = tuple(step.value for step in RunStep)

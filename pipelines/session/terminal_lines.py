@@ -1,6 +1,6 @@
 """Lines of JSON that terminals send to a process of a session, and the answers. A core.
 
-A line to the recorder: `{"record": "start", "wish": {"file": "/home/me/run.mcap"}}`. To the file
+A line to the recorder: `{"record": "start", "options": {"file": "/home/me/run.mcap"}}`. To the file
 transfer of an end: `{"file": "put", "first": "a.bin"}`; likewise get, list, rename and remove. Its
 answer has the number of the transfer, with which `state` asks how far it is.
 """
@@ -47,7 +47,7 @@ class Reply(NamedTuple):
 _Event = TypeVar("_Event")
 
 
-class TerminalDesk(Generic[_Event]):
+class TerminalServer(Generic[_Event]):
     """Terminals that ask. Read from those in `asking` only, and drain `next_event` afterwards.
 
     A terminal is a connection, known by a number that is never used again.
@@ -77,7 +77,7 @@ class TerminalDesk(Generic[_Event]):
         return self._events.popleft() if self._events else None
 
 
-class LineDesk(TerminalDesk[Reply], Generic[_Content]):
+class LineServer(TerminalServer[Reply], Generic[_Content]):
     """Answers one line of each terminal.
 
     kind: of the requests. answer: called with a request and its instant; anything else is not
@@ -111,7 +111,7 @@ class PartLimits:
     octets: int = 256_000_000
 
 
-class RecordingWish(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class RecordingOptions(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """What is to be recorded, and into which file.
 
     file: absolute path of the first part. link_frames: with every frame of the radio link.
@@ -135,7 +135,7 @@ class RecordRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
     """A request. overwrite: replace a recording that is there."""
 
     record: str
-    wish: RecordingWish | None = None
+    options: RecordingOptions | None = None
     overwrite: bool = False
 
 
@@ -155,7 +155,7 @@ class RecordAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 CANCEL, STATUS = "cancel", "status"
 
 
-def desk_name(segment: Segment) -> str:
+def socket_name(segment: Segment) -> str:
     return f"files.{segment.value}"
 
 

@@ -32,11 +32,11 @@ from pipelines.session.terminal_lines import (
     START,
     STATE,
     STOP,
-    LineDesk,
+    LineServer,
     RecordAnswer,
-    RecordingWish,
+    RecordingOptions,
     RecordRequest,
-    TerminalDesk,
+    TerminalServer,
     pack_line,
     parse_line,
 )
@@ -96,14 +96,16 @@ class TerminalSockets:
                 data = b""
             yield terminal, data
 
-    def exchange(self, desk: TerminalDesk[Any], wait_ns: int, now_ns: Callable[[], int]) -> None:
+    def exchange(
+        self, service: TerminalServer[Any], wait_ns: int, now_ns: Callable[[], int]
+    ) -> None:
         """Wait for terminals, and pass what they do to the desk."""
-        asking = desk.asking
+        asking = service.asking
         ready = select.select(self.readers(asking), [], [], wait_ns / NS_PER_S)[0]
         if (terminal := self.accept(ready)) is not None:
-            desk.handle_terminal(terminal)
+            service.handle_terminal(terminal)
         for terminal, data in self.read(ready, asking):
-            desk.handle_octets(terminal, data, now_ns())
+            service.handle_octets(terminal, data, now_ns())
 
     def send(self, terminal: int, octets: bytes, *, last: bool) -> None:
         """Send octets. last: and close the connection."""
@@ -117,43 +119,43 @@ class TerminalSockets:
 
 
 def serve_terminals(
-    context: "Context", name: str, desk: LineDesk[Any], follow: Callable[[int], None]
+    context: "Context", name: str, service: LineServer[Any], follow: Callable[[int], None]
 ) -> None:
     """Carry lines between terminals and the desk until the process is to end.
 
     name: of the socket. follow: called after each input, with the instant, and at least every
-    `PATIENCE_NS`.
+    `TIMEOUT_NS`.
     """
     # A terminal that only asks does not load it.
-    from pipelines.session.process import PATIENCE_NS
+    from pipelines.session.process import TIMEOUT_NS
 
     clock = context.clock
     make_session_root(context.session)
-    terminals = TerminalSockets(desk_path(context.session, name))
+    terminals = TerminalSockets(request_socket(context.session, name))
     while not context.stopping:
         context.tick(clock.now_ns())
-        terminals.exchange(desk, PATIENCE_NS, clock.now_ns)
+        terminals.exchange(service, TIMEOUT_NS, clock.now_ns)
         follow(clock.now_ns())
-        while (reply := desk.next_event()) is not None:
+        while (reply := service.next_event()) is not None:
             terminals.send(reply.terminal, reply.octets, last=reply.last)
     terminals.close()
 
 
-_PATIENCE_S, _AGAIN_S = 5.0, 0.05
+_TIMEOUT_S, _AGAIN_S = 5.0, 0.05
 _Answer = TypeVar("_Answer", bound=msgspec.Struct)
 
 
-def desk_path(session: str, desk: str) -> Path:
-    return session_root(session) / desk
+def request_socket(session: str, service: str) -> Path:
+    return session_root(session) / service
 
 
-def running_sessions(desk: str) -> list[str]:
+def running_sessions(service: str) -> list[str]:
     """Return the sessions of this user in which a process listens on this socket, oldest first.
 
-    Where that process was killed and the launcher restarts it, wait for up to `_PATIENCE_S`.
+    Where that process was killed and the launcher restarts it, wait for up to `_TIMEOUT_S`.
     """
-    until_s = time.monotonic() + _PATIENCE_S
-    found = list(session_root("x").parent.glob(f"*/{desk}"))
+    until_s = time.monotonic() + _TIMEOUT_S
+    found = list(session_root("x").parent.glob(f"*/{service}"))
     while any(is_alive(path.parent.name) and not _listens(path) for path in found):
         if time.monotonic() > until_s:
             break
@@ -173,22 +175,27 @@ def _listens(path: Path) -> bool:
     return True
 
 
-def ask_desk(
-    desk: str, request: msgspec.Struct, answer: type[_Answer], session: str | None, *, missing: str
+def send_request(
+    service: str,
+    request: msgspec.Struct,
+    answer: type[_Answer],
+    session: str | None,
+    *,
+    missing: str,
 ) -> _Answer | None:
     """Ask the desk of a session; None without an answer.
 
     answer: its type. session: a name as of `choose_session`. Raises ConfigError, with `missing`,
     if no session has such a desk.
     """
-    running = running_sessions(desk)
+    running = running_sessions(service)
     if not running:
         raise ConfigError(missing)
     chosen = choose_session(session, running, " with --session")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
-        link.settimeout(_PATIENCE_S)
+        link.settimeout(_TIMEOUT_S)
         try:
-            link.connect(os.fspath(desk_path(chosen, desk)))
+            link.connect(os.fspath(request_socket(chosen, service)))
             link.sendall(pack_line(request))
             return parse_line(link.makefile("rb").readline(MAX_LINE_OCTETS), answer)
         except OSError:
@@ -196,8 +203,8 @@ def ask_desk(
 
 
 #: The name of the recorder's Unix socket.
-RECORDER_DESK = "recorder"
-_WISH = "recording"
+RECORDER_SOCKET = "recorder"
+_REQUEST = "recording"
 #: How long a recorder may take to answer: it writes a slow disk's file to its end first.
 _RECORDER_S = 10.0
 #: How often it asks whether the recorder is still there.
@@ -206,27 +213,27 @@ _LOOK_S = 0.2
 _RETURN_S = 4.0
 
 
-def write_wish(session: str, wish: RecordingWish) -> None:
-    """Keep what is to be recorded, for this and the next lives of the recorder."""
+def write_request(session: str, options: RecordingOptions) -> None:
+    """Keep what is to be recorded, for this and the next starts of the recorder."""
     make_session_root(session)
-    replace_file(session_root(session) / _WISH, pack_line(wish))
+    replace_file(session_root(session) / _REQUEST, pack_line(options))
 
 
-def read_wish(session: str) -> RecordingWish | None:
+def read_request(session: str) -> RecordingOptions | None:
     try:
-        return parse_line((session_root(session) / _WISH).read_bytes(), RecordingWish)
+        return parse_line((session_root(session) / _REQUEST).read_bytes(), RecordingOptions)
     except OSError:
         return None
 
 
-def remove_wish(session: str) -> None:
-    (session_root(session) / _WISH).unlink(missing_ok=True)
+def remove_request(session: str) -> None:
+    (session_root(session) / _REQUEST).unlink(missing_ok=True)
 
 
 def recorded_sessions() -> list[str]:
     """Return the running sessions of this user that can be recorded."""
     running = []
-    for session in running_sessions(RECORDER_DESK):
+    for session in running_sessions(RECORDER_SOCKET):
         with suppress(OSError):
             RecorderLink(session).close()
             running.append(session)
@@ -243,7 +250,7 @@ class RecorderLink:
         self._link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._link.settimeout(_RECORDER_S)
         try:
-            self._link.connect(os.fspath(desk_path(session, RECORDER_DESK)))
+            self._link.connect(os.fspath(request_socket(session, RECORDER_SOCKET)))
         except OSError:
             self._link.close()
             raise
@@ -262,10 +269,10 @@ class RecorderLink:
         self._link.close()
 
 
-def begin_recording(session: str, wish: RecordingWish, *, overwrite: bool) -> RecorderLink:
+def begin_recording(session: str, options: RecordingOptions, *, overwrite: bool) -> RecorderLink:
     try:
         link = RecorderLink(session)
-        answer = link.ask(RecordRequest(record=START, wish=wish, overwrite=overwrite))
+        answer = link.ask(RecordRequest(record=START, options=options, overwrite=overwrite))
     except OSError as error:
         raise ConfigError(f"the recorder of {session} does not answer: {error}") from None
     if not answer.ok:
@@ -277,7 +284,7 @@ def begin_recording(session: str, wish: RecordingWish, *, overwrite: bool) -> Re
 def hold_recording(
     link: RecorderLink,
     session: str,
-    wish: RecordingWish,
+    options: RecordingOptions,
     ended: Callable[[], bool],
     seconds: float | None,
 ) -> RecordAnswer | None:
@@ -292,7 +299,7 @@ def hold_recording(
             answer = link.ask(RecordRequest(record=STOP if over else STATE))
         except OSError:
             link.close()
-            found = _returned(session, wish)
+            found = _returned(session, options)
             if found is None:
                 return None
             link = found
@@ -305,11 +312,11 @@ def hold_recording(
         fault = answer.fault
 
 
-def _returned(session: str, wish: RecordingWish) -> RecorderLink | None:
+def _returned(session: str, options: RecordingOptions) -> RecorderLink | None:
     """The recorder that the launcher has started again; None if it does not come."""
     end_s = time.monotonic() + _RETURN_S
     while time.monotonic() < end_s:
         with suppress(OSError, ConfigError):
-            return begin_recording(session, wish, overwrite=False)
+            return begin_recording(session, options, overwrite=False)
         time.sleep(0.1)
     return None

@@ -18,7 +18,7 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.topology import MISSION_LEDS_TOPIC, ROBOT_TOPIC, TRAINER_TOPIC
 from pipelines.session.training import Exercises
-from telepresence.tasks.places import lights_of
+from telepresence.tasks.positions import lights_of
 from telepresence.world import StateAt, WorldState, scripted_state
 from telepresence.world.state import Lights
 

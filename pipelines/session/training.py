@@ -16,15 +16,15 @@ from typing import Final
 import msgspec
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.figures import DatedEvent, TrainerFigures
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import DatedEvent, TrainerMetrics
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VideoStream
-from pipelines.session.terminal_lines import LineDesk
+from pipelines.session.terminal_lines import LineServer
 from pipelines.session.topology import Topology
 
 #: The name of the trainer's Unix socket.
-TRAINER_DESK = "trainer"
+TRAINER_SOCKET = "trainer"
 LOS, JOYSTICK, ROBOT = "los", "joystick-error", "robot-fault"
 TASK, CAMERA, END = "task-failed", "camera-lost", "end"
 #: By exercise: what it does, and how long it lasts by default (s).
@@ -129,13 +129,13 @@ class TrainerReach:
 class Trainer:
     """Turns requests into `exercises`. reach: what is here.
 
-    desk: takes the requests. exercises: what lasts at present; a new object after each change.
+    service: takes the requests. exercises: what lasts at present; a new object after each change.
     """
 
     def __init__(self, probe: Probe, reach: TrainerReach) -> None:
         self.exercises = Exercises()
         self._probe, self._reach = probe, reach
-        self.desk = LineDesk(TrainerRequest, self._answer)
+        self.service = LineServer(TrainerRequest, self._answer)
         self._events: deque[DatedEvent] = deque(maxlen=_DEPTH)
         self._published = self.exercises
         self._due_ns = 0
@@ -147,9 +147,9 @@ class Trainer:
         self._published, self._due_ns = self.exercises, now_ns + _REPEAT_NS
         return self.exercises
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Put what was done into the probe."""
-        self._probe.tell(TrainerFigures(exercises=tuple(self._events)))
+        self._probe.publish(TrainerMetrics(exercises=tuple(self._events)))
 
     def _answer(self, request: TrainerRequest, now_ns: int) -> TrainerAnswer:
         wrong = self._mistake(request)

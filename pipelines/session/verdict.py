@@ -75,7 +75,7 @@ class ProcessHealth:
         self._failed = ""
 
     def handle_start(self, at_ns: int) -> None:
-        """A life begins."""
+        """A start begins."""
         self._told, self._since_ns = False, at_ns
 
     def handle_report(self, at_ns: int) -> None:
@@ -84,7 +84,7 @@ class ProcessHealth:
         self._told, self._since_ns = True, at_ns
 
     def handle_end(self, error: str, at_ns: int) -> None:
-        """A life has ended, though nobody asked it to; error: why."""
+        """A start has ended, though nobody asked it to; error: why."""
         self.handle_start(at_ns)
         if error == NO_REASON:
             self._failed = f"it ended without a reason{_SAYS}"
@@ -101,8 +101,8 @@ class ProcessHealth:
         """Whether to kill it, so that another takes its power. unanswered: a stop was ordered since
         its last report.
         """
-        patience_ns = self._fails_ns if self._told else _OPENS_NS
-        return (unanswered and self.hangs(at_ns)) or at_ns - self._since_ns >= patience_ns
+        timeout_ns = self._fails_ns if self._told else _OPENS_NS
+        return (unanswered and self.hangs(at_ns)) or at_ns - self._since_ns >= timeout_ns
 
     def handle_given_up(self, error: str, *, powered: bool) -> None:
         """It gets no further life; powered: but one that takes its power."""
@@ -126,7 +126,7 @@ class ProcessHealth:
     ) -> str:
         """Return what is wrong with it, in words; "" if nothing.
 
-        restarts, error: how often it was started again, and why its newest life that failed ended.
+        restarts, error: how often it was started again, and why its newest start that failed ended.
         wanted: it is to run. ended: the session is over, and a life that hung was asked to end.
         """
         if self._failed or not wanted:
@@ -145,7 +145,7 @@ class ProcessHealth:
 class ProcessNow:
     """A process as its launcher knows it; once the session is over, as it was at its end.
 
-    running: whether it has a life at present. error: why its newest life that failed ended.
+    running: whether it has a life at present. error: why its newest start that failed ended.
     trouble: as `ProcessHealth` has it.
     """
 

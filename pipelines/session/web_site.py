@@ -22,7 +22,7 @@ from pipelines.session.access import (
     Access,
     AccessError,
     AccessKind,
-    Doorway,
+    ConnectionLimits,
     Found,
     Role,
     headers,
@@ -34,7 +34,7 @@ _LOOK_S = 1.0
 _AGAIN_S = 0.1
 
 
-class FrontDoor:
+class ConnectionGate:
     """Serves `make` on a listener's socket. tls: None for plain HTTP.
 
     make: returns the protocol of a connection, such as an aiohttp server does.
@@ -49,7 +49,7 @@ class FrontDoor:
         self._socket, self._make, self._tls = listener.socket, make, tls
         self._clock = MonotonicClock()
         self._numbers = count()
-        self._doorway = Doorway()
+        self._doorway = ConnectionLimits()
         self._visitors: dict[int, _Visitor] = {}
         #: By what a request names as its transport.
         self.by_transport: dict[object, int] = {}
@@ -70,7 +70,7 @@ class FrontDoor:
             task.cancel()
 
     def handle_known(self, transport: object, *, watches: bool = False) -> None:
-        """The connection of a request with a token is no stranger's."""
+        """The connection of a request with a token is no unknown sender's."""
         number = self.by_transport.get(transport)
         if number is not None:
             self._end(self._doorway.handle_known(number, watches=watches))
@@ -138,14 +138,14 @@ class _Visitor(asyncio.Protocol):
 
     def __init__(
         self,
-        door: FrontDoor,
+        gate: ConnectionGate,
         number: int,
         connection: socket.socket,
         inner: asyncio.BaseProtocol,
     ) -> None:
         self.number, self.connection = number, connection
         self.transport: asyncio.Transport | None = None
-        self._door, self._inner = door, cast(asyncio.Protocol, inner)
+        self._gate, self._inner = gate, cast(asyncio.Protocol, inner)
 
     def end(self) -> None:
         if self.transport is not None:
@@ -157,7 +157,7 @@ class _Visitor(asyncio.Protocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
-        self._door.by_transport[transport] = self.number
+        self._gate.by_transport[transport] = self.number
         self._inner.connection_made(transport)
 
     def data_received(self, data: bytes) -> None:
@@ -173,7 +173,7 @@ class _Visitor(asyncio.Protocol):
         self._inner.resume_writing()
 
     def connection_lost(self, error: Exception | None) -> None:
-        self._door.handle_gone(self)
+        self._gate.handle_gone(self)
         self._inner.connection_lost(error)
 
 
@@ -215,7 +215,7 @@ class WebSite:
             role_tokens=listener.role_tokens,
             others=others,
         )
-        self._door: FrontDoor | None = None
+        self._gate: ConnectionGate | None = None
         #: Requests refused, by reason.
         self.refused: dict[str, int] = {}
         #: Requests that ended in an error of this software or of a library.
@@ -230,9 +230,9 @@ class WebSite:
         return found
 
     def handle_known(self, request: web.BaseRequest, *, watches: bool = False) -> None:
-        """A request has shown a token, so its connection is no stranger's."""
-        if self._door is not None:
-            self._door.handle_known(request.transport, watches=watches)
+        """A request has shown a token, so its connection is no unknown sender's."""
+        if self._gate is not None:
+            self._gate.handle_known(request.transport, watches=watches)
 
     def refuse(self, refusal: AccessError) -> web.Response:
         if refusal.reason:
@@ -291,16 +291,16 @@ class WebSite:
     async def start(self, runner: web.BaseRunner) -> None:
         await runner.setup()
         assert runner.server is not None
-        self._door = FrontDoor(self._listener, runner.server, self._tls())
-        self._door.start()
+        self._gate = ConnectionGate(self._listener, runner.server, self._tls())
+        self._gate.start()
 
     def close(self) -> None:
-        if self._door is not None:
-            self._door.close()
+        if self._gate is not None:
+            self._gate.close()
 
     @property
     def closed(self) -> int:
-        return 0 if self._door is None else self._door.closed
+        return 0 if self._gate is None else self._gate.closed
 
     def _tls(self) -> ssl.SSLContext | None:
         if self._listener.scheme != "https" or self._listener.certificate is None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.haptics.device.page import FACTS, GRIP
+from telepresence.haptics.device.page import CAPABILITIES, GRIP
 
 #: What a page's hand pulls at the farthest target; the rest of `GRIP.push_n` moves the handle.
 _PULL_N = 0.75 * GRIP.push_n
@@ -84,7 +84,7 @@ class Aiming:
     """Targets on a ring, each across from the one before (ISO 9241-411, annex B). ConfigError.
 
     distance_m: diameter of the ring. width_m: of a target. targets: how many, an odd number.
-    hold_s: how long the dot must stay in a target to hit it. patience_s: after that it is missed.
+    hold_s: how long the dot must stay in a target to hit it. timeout_s: after that it is missed.
     speed_m_s: of targets that move to and fro along the ring; 0 for still ones.
     """
 
@@ -93,13 +93,13 @@ class Aiming:
     width_m: float = 0.012
     targets: int = 9
     hold_s: float = 0.3
-    patience_s: float = 8.0
+    timeout_s: float = 8.0
     speed_m_s: float = 0.0
 
     def __post_init__(self) -> None:
         at = f"aiming {self.name}: "
         _check(at, self, width_m=(0.002, 0.05), targets=(5, 25), hold_s=(0.1, 2))
-        _check(at, self, distance_m=(2 * self.width_m, 0.2), patience_s=(2, 60), speed_m_s=(0, 0.1))
+        _check(at, self, distance_m=(2 * self.width_m, 0.2), timeout_s=(2, 60), speed_m_s=(0, 0.1))
         if self.targets % 2 == 0:
             raise ConfigError(f"{at}targets is {self.targets}: give an odd number")
 
@@ -139,7 +139,7 @@ class Tracking:
     def __post_init__(self) -> None:
         at = f"tracking {self.name}: "
         _check(at, self, seconds=(2, 120), width_m=(0.002, 0.05), fastest_hz=(0.05, 2))
-        _check(at, self, reach_m=(0.02, FACTS.half_height_m))
+        _check(at, self, reach_m=(0.02, CAPABILITIES.half_height_m))
 
     @property
     def difficulty_bits(self) -> float | None:
@@ -190,7 +190,7 @@ class StudyPlan:
                 f"participants is {self.participants}: {handles} handles have {orders} orders, so "
                 f"take {orders}, {2 * orders}, {3 * orders} and so on"
             )
-        most_m, stiffest = FACTS.half_height_m - _MARGIN_M, max(self.handle.stiffness_n_m)
+        most_m, stiffest = CAPABILITIES.half_height_m - _MARGIN_M, max(self.handle.stiffness_n_m)
         for task in self.tasks:
             if (far_m := task.reach_m + task.width_m / 2) > most_m:
                 raise ConfigError(
@@ -411,7 +411,7 @@ class StudyTrial:
         if self._in_ns >= task.hold_s * NS_PER_S:
             seconds = (took_ns - self._in_ns) / NS_PER_S
             self._hits.append(_Hit(seconds, way_m, along_m, miss_m, self._beyond_m))
-        elif took_ns >= task.patience_s * NS_PER_S:
+        elif took_ns >= task.timeout_s * NS_PER_S:
             self._missed += 1
         else:
             return

@@ -25,12 +25,12 @@ from pipelines.report.report_file import write_text
 from pipelines.seats.open_page import MessageRate
 from pipelines.seats.seat_sockets import Message, SeatSocket, SeatSockets
 from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Found, Role
-from pipelines.session.messages import MOST_SEAT_OCTETS, parse_seat_message
+from pipelines.session.hand_messages import MOST_SEAT_OCTETS, parse_seat_message
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.web_site import WebSite
-from pipelines.study.desk import StudyDesk, parse_press
 from pipelines.study.effects import StudyReport, account_of_study
 from pipelines.study.plan import StudyPlan, TrialResult
+from pipelines.study.trials import StudyTrials, parse_press
 from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.toml_file import read_toml, typed
 
@@ -47,7 +47,7 @@ class _Head(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def load_study(path: Path) -> StudyPlan:
-    """The plan in a file. ConfigError names file and mend."""
+    """The plan in a file. ConfigError names file and fix."""
     table = read_toml(path, "study")
     with refused(f"study {path}", ConfigError):
         return typed(table, StudyPlan, "a study")
@@ -176,12 +176,12 @@ class StudyServer:
 
     def __init__(
         self,
-        desk: StudyDesk,
+        service: StudyTrials,
         device: PageDevice,
         listener: PageListener,
         keep: Callable[[TrialResult], None],
     ) -> None:
-        self._desk, self._device, self._keep = desk, device, keep
+        self._service, self._device, self._keep = service, device, keep
         self._now_ns = MonotonicClock().now_ns
         self._site = WebSite(listener, seat="study")
         self._sockets = SeatSockets(self._now_ns)
@@ -196,9 +196,9 @@ class StudyServer:
 
     def _tick(self) -> None:
         now_ns = self._now_ns()
-        self._desk.handle_time(now_ns)
+        self._service.handle_time(now_ns)
         self._sockets.handle_time(now_ns)
-        while (result := self._desk.next_result()) is not None:
+        while (result := self._service.next_result()) is not None:
             self._keep(result)
         if self._page is not None:
             self._page.wake.set()
@@ -218,7 +218,7 @@ class StudyServer:
             while True:
                 await page.wake.wait()
                 page.wake.clear()
-                shown, frame = self._desk.show(self._now_ns()), self._desk.frame
+                shown, frame = self._service.show(self._now_ns()), self._service.frame
                 if shown.screen != page.screen:
                     page.screen = shown.screen
                     return msgspec.json.encode(shown).decode()
@@ -242,6 +242,6 @@ class StudyServer:
         if page is not self._page:
             return
         if isinstance(message, str):
-            self._desk.handle_press(parse_press(message), now_ns)
+            self._service.handle_press(parse_press(message), now_ns)
         elif isinstance(hand := parse_seat_message(message, now_ns), PageInput):
             self._device.handle_input(hand)

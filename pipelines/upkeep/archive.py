@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
-from pipelines.session.figures import nested_values
+from pipelines.session.session_metrics import nested_values
 
 #: "KAva", by which a file is known as an archive.
 _APPLICATION = 0x4B417661
@@ -86,12 +86,12 @@ class SessionArchive(Closing):
                 return False
             number = cursor.lastrowid
             # Lists and texts are left out.
-            figures = (
+            metrics = (
                 (number, key, float(value))
                 for key, value in nested_values(report)
                 if isinstance(value, int | float)
             )
-            base.executemany("insert into figure values (?, ?, ?)", figures)
+            base.executemany("insert into figure values (?, ?, ?)", metrics)
             base.executemany(
                 "insert into event values (?, ?, ?)", ((number, *one) for one in events)
             )

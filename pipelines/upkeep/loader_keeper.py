@@ -18,7 +18,14 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError, refused
-from pipelines.upkeep.desk import DiskStore, InboxFolder, Program, answer_order, give_order, kept
+from pipelines.upkeep.requests import (
+    DiskStore,
+    InboxFolder,
+    Program,
+    answer_order,
+    give_order,
+    kept,
+)
 from telepresence.upkeep.app_loader import (
     PAIRS,
     AppLoader,
@@ -27,7 +34,7 @@ from telepresence.upkeep.app_loader import (
     Copy,
     FindFtp,
     FlashCheck,
-    FlashFigures,
+    FlashMetrics,
     LoaderEvent,
     LoadMode,
     NoteWorked,
@@ -54,7 +61,7 @@ from telepresence.upkeep.file_store import (
 from telepresence.upkeep.manifest import SFV, executables, fault_of, parse_sfv, write_copy
 from telepresence.upkeep.version_stack import parse_status
 
-_PATIENCE_S = 10.0
+_TIMEOUT_S = 10.0
 _PORT = 21
 _LARGEST_COPY = 1 << 28
 _LARGEST_LIST = 1 << 20
@@ -78,7 +85,7 @@ def fetch_copies(url: str, store: FileStore, folders: dict[str, str]) -> bool:
     is invalid then, as its check shows.
     """
     parts = urlsplit(url)
-    ftp = ftplib.FTP(timeout=_PATIENCE_S)
+    ftp = ftplib.FTP(timeout=_TIMEOUT_S)
     try:
         ftp.connect(parts.hostname or "", parts.port or _PORT)
         ftp.login(unquote(parts.username or "anonymous"), unquote(parts.password or ""))
@@ -178,7 +185,7 @@ class Housekeeping(msgspec.Struct, frozen=True, kw_only=True):
     copy: str | None
     desired_mode: str
     erroneous: dict[str, str]
-    flash: FlashFigures
+    flash: FlashMetrics
 
 
 class LoaderKeeper:
@@ -266,10 +273,10 @@ class LoaderKeeper:
             if box is not None and not self._over:
                 box.work(busy=self._busy, now_ns=now_ns())
                 loader = self._work()
-                box.tell(*self._summary(loader))
+                box.publish(*self._summary(loader))
             if loader.step is not told_step or now_ns() >= told_ns:
                 told_ns, told_step = now_ns() + _HOUSEKEEPING_NS, loader.step
-                self._tell(loader, flash)
+                self._publish(loader, flash)
             if self._over:
                 return
             time.sleep(_POLL_NS / NS_PER_S)
@@ -388,14 +395,14 @@ class LoaderKeeper:
         else:
             raise ConfigError(f"no order is called {order!r}")
 
-    def _tell(self, loader: AppLoader, flash: FlashCheck) -> None:
+    def _publish(self, loader: AppLoader, flash: FlashCheck) -> None:
         told = Housekeeping(
             device=loader.device.value,
             step=loader.step.value,
             copy=None if loader.copy is None else loader.copy.value,
             desired_mode=loader.desired.value,
             erroneous={copy.value: why for copy, why in loader.erroneous.items()},
-            flash=flash.figures,
+            flash=flash.metrics,
         )
         replace_file(self.store, _HOUSEKEEPING, msgspec.json.encode(told) + b"\n")
 

@@ -16,7 +16,7 @@ import msgspec
 from kontur_av.closing import Closing
 from kontur_av.errors import refused
 from kontur_av.topics.bus import Reader, TopicBus
-from pipelines.link.figures import unpack_link
+from pipelines.link.link_metrics import unpack_link
 from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.kept_files import Note, add_note, read_now
 from pipelines.session.mission_messages import ExperimentShown, unpack
@@ -39,7 +39,7 @@ _READ_OCTETS = 4096
 #: A longer line of a command is shown in parts.
 _LINE_OCTETS = 65_536
 _OWN = "maintain: "
-_PATIENCE_NS = 2_000_000_000
+_TIMEOUT_NS = 2_000_000_000
 
 
 class SessionWatch(Closing):
@@ -112,7 +112,7 @@ class SessionWatch(Closing):
 def _newest(reader: Reader, *, wait: bool) -> bytes | None:
     octets = reader.latest_octets()
     if octets is None and wait:
-        reader.wait(_PATIENCE_NS)
+        reader.wait(_TIMEOUT_NS)
         octets = reader.latest_octets()
     return octets
 

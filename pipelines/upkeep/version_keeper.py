@@ -7,7 +7,14 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.desk import DiskStore, InboxFolder, Program, answer_order, give_order, kept
+from pipelines.upkeep.requests import (
+    DiskStore,
+    InboxFolder,
+    Program,
+    answer_order,
+    give_order,
+    kept,
+)
 from telepresence.link.protection.identity import MachineIdentity
 from telepresence.upkeep.file_store import StoredFile, read_folder
 from telepresence.upkeep.version_stack import (
@@ -112,7 +119,7 @@ class VersionKeeper:
                         box.work(busy=self._busy, now_ns=now_ns())
                     self._do(switch, program)
                     if box is not None:
-                        box.tell(switch.record.current, switch.reason, _states(switch.record))
+                        box.publish(switch.record.current, switch.reason, _states(switch.record))
                     left_ns = switch.poll_timeout() - now_ns()
                     time.sleep(max(0, min(left_ns, _POLL_NS)) / NS_PER_S)
                     if program.exit_code() is not None:

@@ -11,15 +11,15 @@ from kontur_av.sources import BLOCK_NS
 from kontur_av.sources.instants import Pace
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.sources.stereo import StereoPairer
-from pipelines.media.figures import StereoFigures
 from pipelines.media.following import Choice
+from pipelines.media.media_metrics import StereoMetrics
 from pipelines.media.showing import OPERATORS, Showing
 from pipelines.media.taking_over import Capturing
 from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import (
     GROUND_MIC,
-    ISS_CAMERA,
-    ISS_MIC,
+    OPERATOR_CAMERA,
+    OPERATOR_MIC,
     STEREO,
     STEREO_INPUTS,
     VOICE_PACKETS_PER_S,
@@ -81,7 +81,7 @@ class _Input:
         self._coming: Job | None = None
         self._sequence = 0
         self._capturing = Capturing(scene.telling.probe(scene.topology.input(name).process))
-        scene.telling.add(self._capturing.tell)
+        scene.telling.add(self._capturing.publish)
         if film is None:
             self._agenda.at(pace.due_ns(scene.start_ns), self._capture)
         else:
@@ -161,7 +161,7 @@ class Microphone(_Input):
         self._studio, self._show = studio, show
         #: The next block without a new click in it, and the newest click so far.
         self._expected: tuple[Job | None, int | None] = None, None
-        pace = Pace(VOICE_PACKETS_PER_S, scene.start_ns, patience=2)
+        pace = Pace(VOICE_PACKETS_PER_S, scene.start_ns, timeout=2)
         super().__init__(scene, name, film, pace, self._hear, block_ns=BLOCK_NS)
 
     def _hear(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
@@ -185,7 +185,7 @@ class Stereo:
         self._agenda, self._show = scene.agenda, show
         merged = scene.topology.topic(scene.topology.camera(STEREO).topic)
         self._probe = scene.telling.probe(merged.writer)
-        scene.telling.add(self.tell)
+        scene.telling.add(self.publish)
 
     def handle_picture(
         self, picture: Picture, stamp: CaptureStamp, now_ns: int, *, right: bool
@@ -206,9 +206,9 @@ class Stereo:
         while (pair := self._pairer.next_event()) is not None:
             self._show(Paired(pair, now_ns), pair.stamp, now_ns)
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         pairer = self._pairer
-        self._probe.tell(StereoFigures(paired=pairer.paired, single=pairer.single))
+        self._probe.publish(StereoMetrics(paired=pairer.paired, single=pairer.single))
 
 
 class Media:
@@ -243,7 +243,7 @@ class Media:
             self._send_downlink_video(setup.downlink_video)
         if setup.downlink_voice is not None:
             self._receive_voice(setup.downlink_voice, pictures_down)
-            self._send_voice(setup.downlink_voice, ISS_MIC)
+            self._send_voice(setup.downlink_voice, OPERATOR_MIC)
 
     def settle(self, until_ns: int, now_ns: int) -> None:
         """Wait for all that was decoded by `until_ns`; it is `now_ns`."""
@@ -287,10 +287,12 @@ class Media:
             Camera(self._scene, name, stream.fps, film, partial(show, name), ahead)
 
     def _send_downlink_video(self, stream: VideoStream) -> None:
-        studio = self._studio(stream, [ISS_CAMERA])
-        show = self._add_sender(stream, VideoSendProcess(self._scene, stream, studio)).handle_picture
-        film = self._film(ISS_CAMERA, studio)
-        Camera(self._scene, ISS_CAMERA, stream.fps, film, show, studio.submit)
+        studio = self._studio(stream, [OPERATOR_CAMERA])
+        show = self._add_sender(
+            stream, VideoSendProcess(self._scene, stream, studio)
+        ).handle_picture
+        film = self._film(OPERATOR_CAMERA, studio)
+        Camera(self._scene, OPERATOR_CAMERA, stream.fps, film, show, studio.submit)
 
     def handle_choice(self, choice: Choice, now_ns: int) -> None:
         if self._follow_choice is not None:
@@ -355,6 +357,6 @@ class Media:
         if name not in self._displays:
             streams = [row.stream for row in topology.media_streams if row.display == name]
             showing = Showing(self._scene.setup, streams, telling.probe(name))
-            telling.add(lambda: showing.tell(self._settled_ns))
+            telling.add(lambda: showing.publish(self._settled_ns))
             self._displays[name] = Display(showing)
         return self._displays[name]

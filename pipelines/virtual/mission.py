@@ -4,11 +4,11 @@ from collections.abc import Callable
 from functools import partial
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.files.desk import ENTITIES, RATES_BPS
-from pipelines.hand.desks import JoystickStatusTeller, RobotDesk
+from pipelines.files.file_requests import ENTITIES, RATES_BPS
 from pipelines.hand.hand_topics import JoystickStatus, unpack_status
 from pipelines.hand.haptics import JoystickEnd
-from pipelines.link.figures import link_values
+from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
+from pipelines.link.link_metrics import link_values
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.mission import MissionGround, Seen, robot_order
 from pipelines.mission.supervisor import session_dictionary
@@ -60,7 +60,12 @@ class SimulatedTmtc:
     """
 
     def __init__(
-        self, scene: Scene, *, robot: RobotDesk | None, handle: Handle | None, silent: bool = False
+        self,
+        scene: Scene,
+        *,
+        robot: RobotCommands | None,
+        handle: Handle | None,
+        silent: bool = False,
     ) -> None:
         setup, now_ns, random = scene.setup, scene.start_ns, scene.random("tmtc")
         self._agenda, self._gateways, self._state_at = scene.agenda, scene.gateways, scene.state_at
@@ -77,7 +82,7 @@ class SimulatedTmtc:
                 session_dictionary(built_in_dictionary(), scene.topology),
                 now_ns=now_ns,
                 first_count=random.randrange(COUNT_MODULUS),
-                life=1 + now_ns // NS_PER_S,
+                boot_id=1 + now_ns // NS_PER_S,
                 delay_ns=setup.radio_profile.longest_delay_ns,
             )
             for segment in Segment
@@ -90,7 +95,7 @@ class SimulatedTmtc:
             for segment, end in self.ends.items()
         }
         self._robot = RobotSource(self.ends[Segment.GROUND], first_number=0)
-        self._robot_desk = robot
+        self._robot_commands = robot
         self._joystick = JoystickSource(self.ends[Segment.SPACE], first_number=0)
         self._teller = None
         if isinstance(handle, OperatedHandle):
@@ -118,8 +123,8 @@ class SimulatedTmtc:
         for segment, source in self._sources.items():
             source.handle_values(link_values(self._gateways[segment].report(now_ns)), now_ns)
         self._robot.handle_state(self._state_at(now_ns), now_ns)
-        if self._robot_desk is not None:
-            self._robot.handle_status(self._robot_desk.status(now_ns), now_ns)
+        if self._robot_commands is not None:
+            self._robot.handle_status(self._robot_commands.status(now_ns), now_ns)
         self._sample_joystick(now_ns)
         for segment in Segment:
             self._work(segment, now_ns)
@@ -168,10 +173,10 @@ class SimulatedTmtc:
             self._sample_joystick(now_ns)
             return True
         command = self._robot.handle_asked(asked)
-        if command is None or self._robot_desk is None:
+        if command is None or self._robot_commands is None:
             return False
-        self._robot_desk.handle_command(command, now_ns, now_ns)
-        self._robot.handle_status(self._robot_desk.status(now_ns), now_ns)
+        self._robot_commands.handle_command(command, now_ns, now_ns)
+        self._robot.handle_status(self._robot_commands.status(now_ns), now_ns)
         return True
 
 
@@ -194,7 +199,7 @@ class SimulatedMission:
         cosmonaut: Cosmonaut,
         scene: Scene,
         *,
-        robot: RobotDesk,
+        robot: RobotCommands,
         joystick: JoystickEnd,
         tmtc: SimulatedTmtc,
         choice: CameraChoice,
@@ -325,7 +330,7 @@ class SimulatedFiles:
         scene.agenda.at(scene.start_ns, self._look)
         for segment, entity in self.entities.items():
             probe = scene.telling.probe(FILES[segment])
-            scene.telling.add(partial(self._tell, entity, probe))
+            scene.telling.add(partial(self._publish, entity, probe))
         self._now_ns = scene.start_ns
 
     def put(self, segment: Segment, name: str, now_ns: int) -> Transfer:
@@ -333,8 +338,8 @@ class SimulatedFiles:
         octets = self.directories[segment][name]
         return self.entities[segment].put(name, "", octets, now_ns)
 
-    def _tell(self, entity: FileEntity, probe: Probe) -> None:
-        probe.tell(entity.report(self._now_ns))
+    def _publish(self, entity: FileEntity, probe: Probe) -> None:
+        probe.publish(entity.report(self._now_ns))
 
     def _look(self, now_ns: int) -> None:
         self._now_ns = now_ns

@@ -15,16 +15,16 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.hand.desks import RobotDesk
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.replaying import ReplayedEnd
+from pipelines.hand.robot_commands import RobotCommands
 from pipelines.hand.safety_ends import CameraWatch, within
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, SendCommand, TmtcNews
 from pipelines.report.collector import Collector
-from pipelines.media.figures import CodingCosts
 from pipelines.report.model import SessionReport, SimulationReport
 from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
@@ -44,7 +44,7 @@ from telepresence.haptics.hand import Hand
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.session import LIVES
+from telepresence.haptics.session import BOOT_IDS
 from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.gateway import Gateway
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
@@ -150,30 +150,30 @@ class Simulation:
         telemetry = self.topology.stream(TELEMETRY)
         assert telemetry.sender is not None and telemetry.receiver is not None
         self._robot, self._joystick = self._make_ends()
-        telling.add(self._robot.tell)
-        telling.add(self._joystick.tell)
+        telling.add(self._robot.publish)
+        telling.add(self._joystick.publish)
         #: None while a recording drives the robot.
-        self.robot_desk: RobotDesk | None = None
+        self.robot_commands: RobotCommands | None = None
         self._watch: CameraWatch | None = None
         if isinstance(self._robot, RobotEnd):
             envelope = self._robot.envelope
             self._watch = CameraWatch(STEREO, 0, lambda: envelope.require_press(Hold.CAMERA))
-            life = self._life(self.topology.haptic("up").sender)
-            self.robot_desk = RobotDesk(
-                self._robot.side, life=life, tasks=plan is not None, now_ns=start_ns
+            boot_id = self._boot_id(self.topology.haptic("up").sender)
+            self.robot_commands = RobotCommands(
+                self._robot.side, boot_id=boot_id, tasks=plan is not None, now_ns=start_ns
             )
         ground_probe, space_probe = self._probe(telemetry.sender), self._probe(telemetry.receiver)
         self._choice = CameraChoice(setup.cameras, ground_probe, now_ns=start_ns)
-        telling.add(self._choice.tell)
+        telling.add(self._choice.publish)
         end = self._joystick
         self.tmtc = tmtc = SimulatedTmtc(
             scene,
-            robot=self.robot_desk,
+            robot=self.robot_commands,
             handle=end.side.handle if isinstance(end, JoystickEnd) else None,
             silent=self._recorded,
         )
-        telling.add(partial(tmtc.ends[Segment.GROUND].tell, ground_probe))
-        telling.add(partial(tmtc.ends[Segment.SPACE].tell, space_probe))
+        telling.add(partial(tmtc.ends[Segment.GROUND].publish, ground_probe))
+        telling.add(partial(tmtc.ends[Segment.SPACE].publish, space_probe))
         tmtc.subscribe(Segment.GROUND, self._take_asked)
         tmtc.subscribe(Segment.SPACE, self._take_update)
         self._choice_timer = Timer(agenda, self._work_choice)
@@ -195,7 +195,7 @@ class Simulation:
         self.mission = None if plan is None else self._make_mission(*plan)
 
     def _make_mission(self, plan: SessionPlan, catalogue: Catalogue) -> SimulatedMission:
-        robot, joystick, cosmonaut = self.robot_desk, self._joystick, self._cosmonaut
+        robot, joystick, cosmonaut = self.robot_commands, self._joystick, self._cosmonaut
         assert robot is not None and isinstance(joystick, JoystickEnd) and cosmonaut is not None
         return SimulatedMission(
             plan,
@@ -215,11 +215,11 @@ class Simulation:
         ground, space = self._ground, self._space
         ground_slots, space_slots = self._slots_of
         ground_slot, space_slot = ground_slots.handle_slot, space_slots.handle_slot
-        tell_backlogs = self._tell_backlogs
+        publish_backlogs = self._publish_backlogs
         robot, joystick = self._robot, self._joystick
         to_robot, to_joystick = robot.handle_datagram, joystick.handle_datagram
         robot_cycle, joystick_cycle = robot.handle_cycle, joystick.handle_cycle
-        before_robot = None if self.robot_desk is None else self.robot_desk.step
+        before_robot = None if self.robot_commands is None else self.robot_commands.step
         robot_sends, joystick_sends = robot.poll_transmit, joystick.poll_transmit
         feedback, command = ground.handle_haptic, space.handle_haptic
         next_state, advance = robot.next_event, self._advance
@@ -232,7 +232,7 @@ class Simulation:
             advance(slot_ns)
             ground_slot((), slot_ns)
             space_slot((), slot_ns)
-            tell_backlogs(slot_ns)
+            publish_backlogs(slot_ns)
             now_ns = slot_ns + half_ns
             advance(now_ns)
             for sample in samples_down:
@@ -303,22 +303,22 @@ class Simulation:
             handle = OperatedHandle(SimulatedDevice(hand=Hand(), axes=self.setup.more_axes))
         elif self._cosmonaut is not None:
             handle = HeldJoystick(hand=self._cosmonaut)
-        probe, life = self._probe(up.sender), self._life(up.sender)
+        probe, boot_id = self._probe(up.sender), self._boot_id(up.sender)
         given = self._given_robot
-        limits = within(self.setup.safety, None if given is None else given.facts)
+        limits = within(self.setup.safety, None if given is None else given.capabilities)
         side = robot_side(
             SafetyEnvelope(limits, delay_ns=self.setup.round_trip_ns),
-            life=life,
+            boot_id=boot_id,
             deadband=deadband,
             mediated=mediated,
             residual=residual,
             robot=given or Robot(axes=self.setup.more_axes),
         )
         robot = RobotEnd(probe, side)
-        probe, life = self._probe(up.receiver), self._life(up.receiver)
+        probe, boot_id = self._probe(up.receiver), self._boot_id(up.receiver)
         joystick = JoystickEnd(
             probe,
-            life=life,
+            boot_id=boot_id,
             deadband=deadband,
             mediated=mediated,
             residual=residual,
@@ -328,7 +328,11 @@ class Simulation:
 
     def _robot_name(self) -> str:
         robot = self._given_robot
-        return SIMULATED_ROBOT if robot is None or robot.facts is None else robot.facts.name
+        return (
+            SIMULATED_ROBOT
+            if robot is None or robot.capabilities is None
+            else robot.capabilities.name
+        )
 
     def _sight(self) -> Callable[[float, float], None] | None:
         """What shows the robot to a simulated hand."""
@@ -342,13 +346,13 @@ class Simulation:
             return device.hand.see
         return None
 
-    def _life(self, process: str) -> int:
-        return self._random(f"{process} life").randrange(1, LIVES)
+    def _boot_id(self, process: str) -> int:
+        return self._random(f"{process} life").randrange(1, BOOT_IDS)
 
     def _make_media(self, scene: Scene) -> Media:
         return Media(scene, self._confirm)
 
-    def _tell_backlogs(self, now_ns: int) -> None:
+    def _publish_backlogs(self, now_ns: int) -> None:
         """The gateways' reports to the senders of video, as often as live ones send them."""
         if self._media is None:
             return
@@ -395,7 +399,7 @@ class Simulation:
             self.topology,
             segment,
             self._probe(self.topology.gateway(segment).name),
-            life=self._random(segment.value).randint(1, 0xFFFF),
+            boot_id=self._random(segment.value).randint(1, 0xFFFF),
             secret=self._random(f"{segment.value} secret").getrandbits(128),
             seed=self._seed,
             epoch_ns=self._epoch_ns,
@@ -403,7 +407,7 @@ class Simulation:
             first_ns=self.start_ns,
         )
 
-        self._telling.add(lambda: end.tell(self._now_ns))
+        self._telling.add(lambda: end.publish(self._now_ns))
         return end
 
     def _random(self, what: str) -> Random:

@@ -22,9 +22,9 @@ from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from pipelines.hand.replaying import ReplayedEnd, ReplayTime
 from pipelines.media.following import Choice
-from pipelines.recording.messages import SAMPLE
+from pipelines.media.media_metrics import CodingCosts
+from pipelines.recording.recorded_messages import SAMPLE
 from pipelines.recording.recorded_session import RecordedSession, SentUnit
-from pipelines.media.figures import CodingCosts
 from pipelines.report.model import ReplayedStream, ReplayReport, SessionReport
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY
@@ -80,7 +80,7 @@ class Replay(Simulation):
         longest_ns = setup.radio_profile.longest_delay_ns
         # Whole milliseconds, so that samples keep their place between two slots.
         lead_ns = (_LEAD_NS + 4 * longest_ns) // NS_PER_MS * NS_PER_MS
-        began_ns = (session.facts.started_ns or first_ns) // NS_PER_MS * NS_PER_MS
+        began_ns = (session.metadata.started_ns or first_ns) // NS_PER_MS * NS_PER_MS
         self.time = ReplayTime(recorded_ns=began_ns, replayed_ns=lead_ns)
         first_ns, last_ns = self.time.at(first_ns), self.time.at(last_ns)
         start_ns = max(0, first_ns - lead_ns) // NS_PER_MS * NS_PER_MS
@@ -101,8 +101,8 @@ class Replay(Simulation):
         report = super().report()
         media = self._media
         replay = ReplayReport(
-            session=self._session.facts.session,
-            recorded_seed=self._session.facts.seed,
+            session=self._session.metadata.session,
+            recorded_seed=self._session.metadata.seed,
             speed=1.0,
             recoded=self._recode is not None,
             streams=media.streams_report() if isinstance(media, ReplayedMedia) else {},
@@ -119,7 +119,7 @@ class Replay(Simulation):
                 self.time,
                 self._probe(row.sender),
                 robot=row is up,
-                life=self._life(row.sender),
+                boot_id=self._boot_id(row.sender),
             )
             for row in (up, down)
         ]

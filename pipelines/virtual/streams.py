@@ -14,11 +14,11 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from pipelines.media.following import Choice
-from pipelines.media.showing import OPERATORS, Recall, Showing, tell_click, tell_light
-from pipelines.media.stream_figures import (
+from pipelines.media.showing import OPERATORS, Recall, Showing, publish_click, publish_light
+from pipelines.media.stream_metrics import (
     Outgoing,
     note_arrivals,
-    tell_sender,
+    publish_sender,
     voice_receiver,
     voice_sender,
 )
@@ -69,7 +69,7 @@ class VideoSendProcess:
             follows=follows,
         )
         self._timer = Timer(scene.agenda, self._step)
-        scene.telling.add(self.end.tell)
+        scene.telling.add(self.end.publish)
         scene.at_end.append(self.end.close)
         self.on_confirmed: Callable[[int, int], None] | None = None
         #: The gateway's report wakes nobody: the process looks at it when it wakes up.
@@ -132,7 +132,7 @@ class VoiceProcess:
         #: Whether a block is being encoded.
         self._busy = False
         self._timer = Timer(scene.agenda, self._wake)
-        scene.telling.add(lambda: tell_sender(probe, sender))
+        scene.telling.add(lambda: publish_sender(probe, sender))
         scene.at_end.append(self._outgoing.close)
 
     def handle_coded(self, unit: AccessUnit, now_ns: int) -> None:
@@ -251,7 +251,7 @@ class VideoReceiveProcess:
         far = scene.gateways[row.direction.receiver]
         self._ask = partial(far.handle_datagram, row.feedback)
         self._timer = Timer(scene.agenda, self._step)
-        scene.telling.add(end.tell)
+        scene.telling.add(end.publish)
         #: What came while a unit was decoded; None: no unit is being decoded.
         self._waiting: list[tuple[Callable[[bytes, int], object], bytes]] | None = None
         #: Called with (instant, latency) of each picture when it is shown.
@@ -305,7 +305,11 @@ class VideoReceiveProcess:
                     call(now_ns, now_ns - stamp.capture_ns)
         for light in lights:
             notice = partial(
-                tell_light, self._display.probe, self._stream, light, dict(self._recall.captured_ns)
+                publish_light,
+                self._display.probe,
+                self._stream,
+                light,
+                dict(self._recall.captured_ns),
             )
             self._display.handle_shown(self._stream, None, now_ns, notice)
         if (unit := self.end.next_unit()) is not None:
@@ -313,7 +317,9 @@ class VideoReceiveProcess:
             return
         waiting, self._waiting = self._waiting, None
         # Reports are first, because the first of them dates the first picture.
-        for take, datagram in sorted(waiting or (), key=lambda each: each[0] != self.end.handle_report):
+        for take, datagram in sorted(
+            waiting or (), key=lambda each: each[0] != self.end.handle_report
+        ):
             take(datagram, now_ns)
         self._step(now_ns)
 
@@ -330,7 +336,7 @@ class VoiceReceiveProcess:
         make = partial(VoiceDecoding, watched=stream.name in OPERATORS)
         self._decoder, self._recall = Batch(scene.workers.start(make)), Recall()
         self._timer = Timer(scene.agenda, self._drain)
-        scene.telling.add(lambda: probe.tell(receiver.counts))
+        scene.telling.add(lambda: probe.publish(receiver.counts))
         self._cost_ns = scene.costs.ns("voice_decode")
         self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
         self.handle_picture_shown = receiver.handle_picture_shown
@@ -364,7 +370,7 @@ class VoiceReceiveProcess:
                 self._recall.add(block.timestamp, stamp.capture_ns)
             for click in clicks:
                 notice = partial(
-                    tell_click,
+                    publish_click,
                     self._display.probe,
                     self._stream,
                     click,

@@ -38,7 +38,7 @@ from telepresence.world import StateAt, WorldState, audio_scenes, render
 _MOST_KEPT = 16
 #: The tries to read the next picture or block of a file, each of at most ten seconds.
 _TRIES = 10
-_PATIENCE_NS = 10 * NS_PER_S
+_TIMEOUT_NS = 10 * NS_PER_S
 _T = TypeVar("_T")
 
 
@@ -174,7 +174,7 @@ class _Film:
 
     def next(self) -> int | None:
         picture = empty_picture(self._stream.width, self._stream.height)
-        stamp = _tried(lambda: self._source.read(picture, _PATIENCE_NS))
+        stamp = _tried(lambda: self._source.read(picture, _TIMEOUT_NS))
         return None if stamp is None else _kept(self.pictures, stamp, picture)
 
 
@@ -317,7 +317,7 @@ class VoiceStudio:
         return self._encoder.encode(samples)
 
     def _next(self) -> int | None:
-        frame = _tried(lambda: self._first.source.read(_PATIENCE_NS))
+        frame = _tried(lambda: self._first.source.read(_TIMEOUT_NS))
         if frame is None:
             return None
         return _kept(self._packets, frame.stamp, self._encoder.encode(frame.samples))

@@ -22,8 +22,8 @@ from typing import Any
 import cv2
 
 from kontur_av.rtp.sender import RtpIdentity
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.report.collector import Collector
-from pipelines.media.figures import CodingCosts
 from pipelines.session.launcher import keep_memory
 from pipelines.session.probe import Probe
 from pipelines.session.setup.table import Setup

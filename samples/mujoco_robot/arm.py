@@ -20,7 +20,7 @@ from mujoco_robot.messages import (
     own_socket,
     session_directory,
 )
-from telepresence import RobotFacts, RobotReading
+from telepresence import RobotCapabilities, RobotReading
 
 _STARTS_WITHIN_S = 20.0
 #: The physics is lost after so many cycles without news; it is started again after so many.
@@ -33,7 +33,7 @@ class _Arm:
     """A `RobotDevice` that takes forces (N) in the plane before the robot."""
 
     side: str
-    facts: RobotFacts
+    capabilities: RobotCapabilities
 
     def configure(self) -> None:
         """Start the physics, if no other arm has, and wait for it."""
@@ -128,7 +128,7 @@ class SpaceJustin(_Arm):
     """The right arm, and the head's camera."""
 
     side = "right"
-    facts = RobotFacts(
+    capabilities = RobotCapabilities(
         name="SpaceJustin, right arm",
         half_width_m=0.17,
         half_height_m=0.12,
@@ -141,4 +141,6 @@ class LeftArm(_Arm):
     """The left arm."""
 
     side = "left"
-    facts = RobotFacts(name="SpaceJustin, left arm", half_width_m=0.17, half_height_m=0.12)
+    capabilities = RobotCapabilities(
+        name="SpaceJustin, left arm", half_width_m=0.17, half_height_m=0.12
+    )

@@ -11,7 +11,7 @@ from kontur_av.sources import SceneVideo
 from mujoco_robot.messages import ORDER, PHYSICS, SHOW, own_socket, session_directory
 
 #: The physics answers within a step of 1 ms.
-_PATIENCE_S = 0.01
+_TIMEOUT_S = 0.01
 
 
 class HeadCamera(SceneVideo):
@@ -37,7 +37,7 @@ class HeadCamera(SceneVideo):
         self._physics = session_directory() / PHYSICS
         self._path = session_directory() / f"camera-{name}"
         self._udp = own_socket(self._path)
-        self._udp.settimeout(_PATIENCE_S)
+        self._udp.settimeout(_TIMEOUT_S)
 
     def close(self) -> None:
         """Release the socket and the renderer."""

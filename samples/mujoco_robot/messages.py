@@ -33,7 +33,7 @@ def session_directory() -> Path:
 
 
 def own_socket(path: Path) -> socket.socket:
-    """Open a socket that never blocks; what an earlier life has left is replaced."""
+    """Open a socket that never blocks; what an earlier start has left is replaced."""
     path.unlink(missing_ok=True)
     udp = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     udp.setblocking(False)

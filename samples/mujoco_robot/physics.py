@@ -216,7 +216,7 @@ def serve(directory: Path) -> None:
                 world.step(now_ns)
             for name, arm in world.arms.items():
                 if arm.is_driven(now_ns):
-                    _tell(udp, arm.state, str(directory / name))
+                    _publish(udp, arm.state, str(directory / name))
         last_ns = max(last_ns, *(arm.heard_ns for arm in world.arms.values()))
     shutil.rmtree(directory, ignore_errors=True)
 
@@ -230,12 +230,12 @@ def _listen(udp: socket.socket, world: World, now_ns: int) -> None:
                 continue
             kind, ms, x_n, y_n = ORDER.unpack(octets)
             if kind == SHOW:
-                _tell(udp, world.data.qpos.tobytes(), sender)
+                _publish(udp, world.data.qpos.tobytes(), sender)
             elif (arm := world.arms.get(Path(sender).name)) is not None:
                 arm.handle_order(kind, (x_n, y_n), now_ns, ms)
 
 
-def _tell(udp: socket.socket, octets: bytes, to: str) -> None:
+def _publish(udp: socket.socket, octets: bytes, to: str) -> None:
     """Send; who is gone, or does not read, misses it."""
     with suppress(OSError):
         udp.sendto(octets, to)

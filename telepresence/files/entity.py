@@ -45,7 +45,7 @@ from telepresence.link.bucket import TokenBucket
 
 
 @dataclass(slots=True, kw_only=True)
-class FileFigures:
+class FileMetrics:
     """Files to and from the other end."""
 
     #: Octets of files that were sent, each counted once.
@@ -173,7 +173,7 @@ class FileEntity:
         now_ns: int,
         segment_octets: int = 512,
         repeat_ns: int = 3 * NS_PER_S,
-        patience_ns: int = 120 * NS_PER_S,
+        timeout_ns: int = 120 * NS_PER_S,
         delay_ns: int = 0,
         checksum: int = ChecksumType.CRC_32,
     ) -> None:
@@ -182,7 +182,7 @@ class FileEntity:
         self._pace = TransactionPace(
             segment_octets=segment_octets,
             repeat_ns=repeat_ns + 2 * delay_ns,
-            patience_ns=patience_ns + 2 * delay_ns,
+            timeout_ns=timeout_ns + 2 * delay_ns,
         )
         self._most_octets = segment_octets + _HEADER_OCTETS
         room_octets = rate_bps * _ROOM_NS // (8 * NS_PER_S)
@@ -199,7 +199,7 @@ class FileEntity:
         self._unwanted: OrderedDict[Key, None] = OrderedDict()
         self._answers: deque[Pdu] = deque()
         self._jobs: deque[DirectoryJob] = deque()
-        self.counts = FileFigures()
+        self.counts = FileMetrics()
         self._heard, self._room = False, True
         #: The time in contact at the last change, and when that was.
         self._contact_ns, self._changed_ns = 0, now_ns
@@ -304,7 +304,7 @@ class FileEntity:
             refusal = self._send_back(job, octets, at_ns)
         self.counts.file_requests_refused += bool(refusal)
         receiver.handle_stored(refusal, at_ns)
-        self._tell_origin(receiver)
+        self._publish_origin(receiver)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the next PDU, or None."""
@@ -327,8 +327,8 @@ class FileEntity:
             return None
         due = [one.poll_timeout() for one in self._senders.values()]
         due += [one.poll_timeout() for one in self._receivers.values()]
-        patience_ns, expected = self._pace.patience_ns, self._expected.items()
-        due += [one.heard_ns + patience_ns for key, one in expected if key not in self._senders]
+        timeout_ns, expected = self._pace.timeout_ns, self._expected.items()
+        due += [one.heard_ns + timeout_ns for key, one in expected if key not in self._senders]
         due_ns = min((one for one in due if one is not None), default=None)
         if self._answers:
             due_ns = 0
@@ -341,7 +341,7 @@ class FileEntity:
         """Return the next job, or None."""
         return self._jobs.popleft() if self._jobs else None
 
-    def report(self, now_ns: int) -> FileFigures:
+    def report(self, now_ns: int) -> FileMetrics:
         """What was counted so far."""
         if not self._heard and self.open:
             self.counts.file_suspended_ns += now_ns - self._changed_ns
@@ -438,7 +438,7 @@ class FileEntity:
         if receiver.whole and not before[2] and receiver.finished is None:
             self._whole(receiver, transfer, at_ns)
         elif receiver.finished is not None:
-            self._tell_origin(receiver)
+            self._publish_origin(receiver)
 
     def _drop_unwanted(self, receiver: FileReceiver, at_ns: int) -> None:
         metadata = receiver.metadata
@@ -456,7 +456,7 @@ class FileEntity:
                 # It goes to a terminal.
                 transfer.text = "".join(c if c.isprintable() or c == "\n" else "?" for c in text)
                 receiver.handle_stored("", at_ns)
-                self._tell_origin(receiver)
+                self._publish_origin(receiver)
             elif metadata.destination:
                 # What was asked for gets the name that was asked for, whatever comes.
                 name = metadata.destination if transfer is None else transfer.second
@@ -472,7 +472,7 @@ class FileEntity:
         except ConfigError:
             self.counts.file_requests_refused += 1
             receiver.handle_stored("the name is not allowed", at_ns)
-            self._tell_origin(receiver)
+            self._publish_origin(receiver)
 
     def _send_back(self, job: DirectoryJob, octets: bytes, at_ns: int) -> str:
         """Send what was asked for; return why that cannot be."""
@@ -494,7 +494,7 @@ class FileEntity:
         self._senders[key] = FileSender(metadata, octets, self._pace, at_ns)
         return ""
 
-    def _tell_origin(self, receiver: FileReceiver) -> None:
+    def _publish_origin(self, receiver: FileReceiver) -> None:
         """What was asked for has come, or it has failed."""
         metadata, finished = receiver.metadata, receiver.finished
         if metadata is None or metadata.origin is None or finished is None:
@@ -529,7 +529,7 @@ class FileEntity:
         for receiver in list(self._receivers.values()):
             pdu = receiver.poll_transmit(at_ns)
             if receiver.finished is not None:
-                self._tell_origin(receiver)
+                self._publish_origin(receiver)
             if pdu is not None:
                 return pdu
         for key, sender in list(self._senders.items()):
@@ -562,7 +562,7 @@ class FileEntity:
                 self._close(key, sender, at_ns)
         for key, transfer in list(self._expected.items()):
             silent_ns = at_ns - transfer.heard_ns
-            if key not in self._senders and silent_ns >= self._pace.patience_ns:
+            if key not in self._senders and silent_ns >= self._pace.timeout_ns:
                 del self._expected[key]
                 self._end(transfer, "the other end fell silent")
 

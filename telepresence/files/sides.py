@@ -53,12 +53,12 @@ _SELDOM = 4
 class TransactionPace:
     """segment_octets: of a file in one PDU. repeat_ns: until an unanswered PDU is sent again.
 
-    patience_ns: how long the other end may be silent before the transaction fails.
+    timeout_ns: how long the other end may be silent before the transaction fails.
     """
 
     segment_octets: int
     repeat_ns: int
-    patience_ns: int
+    timeout_ns: int
 
 
 class FileSender:
@@ -154,7 +154,7 @@ class FileSender:
         if not self._eof_sent:
             self._eof_sent = True
             self._heard_ns = now_ns
-        elif now_ns - self._heard_ns >= self._pace.patience_ns:
+        elif now_ns - self._heard_ns >= self._pace.timeout_ns:
             self.failure = "the other end is silent: does it run with --files?"
             return None
         elif now_ns < self._eof_ns:
@@ -169,7 +169,7 @@ class FileSender:
             return None
         if self._closing or self._metadata_due or self._again or not self._eof_sent:
             return 0
-        return min(self._eof_ns, self._heard_ns + self._pace.patience_ns)
+        return min(self._eof_ns, self._heard_ns + self._pace.timeout_ns)
 
 
 def closing(finished: Finished) -> Ack:
@@ -294,7 +294,7 @@ class FileReceiver:
             return ack
         if self.ended:
             return None
-        if now_ns - self._heard_ns >= self._pace.patience_ns:
+        if now_ns - self._heard_ns >= self._pace.timeout_ns:
             if self.finished is not None:
                 self.ended = True
                 return None
@@ -321,11 +321,11 @@ class FileReceiver:
             return 0
         if self.ended or (self.whole and self.finished is None):
             return None
-        patience_ns = self._heard_ns + self._pace.patience_ns
+        timeout_ns = self._heard_ns + self._pace.timeout_ns
         waits = self.finished is None and self._eof is None
         if waits and self._alive_due:
             return 0
-        return patience_ns if waits else min(self._due_ns, patience_ns)
+        return timeout_ns if waits else min(self._due_ns, timeout_ns)
 
     def _take(self, pdu: Pdu, now_ns: int) -> None:
         if isinstance(pdu, FileData):

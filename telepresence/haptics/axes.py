@@ -4,7 +4,7 @@ Each of them is a port of its own: it has its own controllers, its own energies,
 behind the 12 octets of a sample (docs/haptics-sample.md).
 
 A rotation counts as the path at a lever of 0.1 m: 200 µrad and 0.2 mN m a count. So energies are
-the same, and one controller serves all. Users see rad and N m (`AxisFacts`).
+the same, and one controller serves all. Users see rad and N m (`AxisCapabilities`).
 """
 
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ def lever_of(name: str) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class AxisFacts:
+class AxisCapabilities:
     """What one more axis of a robot or a joystick is: m and N, of rotations rad and N m.
 
     half_range: from its middle; 0 is the middle. force_limit: what its motor exerts.
@@ -79,7 +79,7 @@ class AxisReading(NamedTuple):
     push: of its surroundings on a robot's axis. contact: it touches something.
     """
 
-    place: float
+    position: float
     speed: float
     push: float = 0.0
     contact: bool = False
@@ -97,7 +97,7 @@ class MoreAxes(Protocol):
     def write_more_forces(self, forces: Sequence[float]) -> None:
         """Exert this force (N; N m) on each axis until the next call."""
 
-    def write_more_positions(self, places: Sequence[float], speeds: Sequence[float]) -> None:
+    def write_more_positions(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """Follow these places; only of a robot that takes places."""
 
 
@@ -183,17 +183,17 @@ class AxisTotals:
 class MoreAxis:
     """The state of one more axis, of a robot or of a handle; places and forces at its lever.
 
-    place_m, speed_m_s: where it is. push_n: of a robot, the force of its surroundings.
+    position_m, speed_m_s: where it is. push_n: of a robot, the force of its surroundings.
     force_n: what its motor is to exert; set before each step. cut_n: within its limit.
     half_m, force_limit_n, most_m_s: its limits.
     """
 
-    def __init__(self, facts: AxisFacts) -> None:
-        self.facts = facts
-        self.lever_m = lever_m = facts.lever_m
-        self.half_m, self.most_m_s = facts.half_range * lever_m, facts.speed * lever_m
-        self.force_limit_n = facts.force_limit / lever_m
-        self.place_m = self.speed_m_s = self.push_n = self.force_n = 0.0
+    def __init__(self, capabilities: AxisCapabilities) -> None:
+        self.capabilities = capabilities
+        self.lever_m = lever_m = capabilities.lever_m
+        self.half_m, self.most_m_s = capabilities.half_range * lever_m, capabilities.speed * lever_m
+        self.force_limit_n = capabilities.force_limit / lever_m
+        self.position_m = self.speed_m_s = self.push_n = self.force_n = 0.0
         self.contact = False
 
     @property
@@ -202,16 +202,20 @@ class MoreAxis:
 
     def take(self, reading: AxisReading) -> str:
         """Stand where `reading` says; return "", or why it cannot be believed."""
-        place, speed, push, contact = reading
-        if not (isfinite(place) and isfinite(speed) and isfinite(push)):
-            return f"a measurement of {self.facts.name} is not a number"
-        facts = self.facts
-        if abs(place) > _TOO_FAR * facts.half_range:
-            return f"{facts.name} is at {place:.3g}, outside of its range of {facts.half_range:g}"
-        if abs(speed) > _TOO_FAST * facts.speed:
-            return f"{facts.name} moves at {speed:.3g}, beyond twice its speed of {facts.speed:g}"
+        position, speed, push, contact = reading
+        if not (isfinite(position) and isfinite(speed) and isfinite(push)):
+            return f"a measurement of {self.capabilities.name} is not a number"
+        capabilities = self.capabilities
+        if abs(position) > _TOO_FAR * capabilities.half_range:
+            return f"{capabilities.name} is at {position:.3g}, outside of its range of {capabilities.half_range:g}"
+        if abs(speed) > _TOO_FAST * capabilities.speed:
+            return f"{capabilities.name} moves at {speed:.3g}, beyond twice its speed of {capabilities.speed:g}"
         lever_m = self.lever_m
-        self.place_m, self.speed_m_s, self.push_n = place * lever_m, speed * lever_m, push / lever_m
+        self.position_m, self.speed_m_s, self.push_n = (
+            position * lever_m,
+            speed * lever_m,
+            push / lever_m,
+        )
         self.contact = contact
         return ""
 
@@ -220,11 +224,11 @@ class MoreAxis:
 _TOO_FAR, _TOO_FAST = 1.05, 2.0
 #: Of the built-in robot and joystick; chosen.
 BUILT_IN_AXES: Final = {
-    "z": AxisFacts(name="z", half_range=0.10, force_limit=12.0, speed=0.5),
-    "roll": AxisFacts(name="roll", half_range=1.0, force_limit=0.8, speed=3.0),
-    "pitch": AxisFacts(name="pitch", half_range=1.0, force_limit=0.8, speed=3.0),
-    "yaw": AxisFacts(name="yaw", half_range=1.0, force_limit=0.8, speed=3.0),
-    "gripper": AxisFacts(name="gripper", half_range=0.04, force_limit=12.0, speed=0.3),
+    "z": AxisCapabilities(name="z", half_range=0.10, force_limit=12.0, speed=0.5),
+    "roll": AxisCapabilities(name="roll", half_range=1.0, force_limit=0.8, speed=3.0),
+    "pitch": AxisCapabilities(name="pitch", half_range=1.0, force_limit=0.8, speed=3.0),
+    "yaw": AxisCapabilities(name="yaw", half_range=1.0, force_limit=0.8, speed=3.0),
+    "gripper": AxisCapabilities(name="gripper", half_range=0.04, force_limit=12.0, speed=0.3),
 }
 #: Where on the positive side of its range an axis of the built-in robot meets a spring.
 _OBJECT = 0.5
@@ -239,21 +243,21 @@ class SimulatedAxis(MoreAxis):
     meets: a spring at half of its range gives `push_n`; else the caller does.
     """
 
-    def __init__(self, facts: AxisFacts, *, meets: bool) -> None:
-        super().__init__(facts)
+    def __init__(self, capabilities: AxisCapabilities, *, meets: bool) -> None:
+        super().__init__(capabilities)
         self._meets = meets
 
     def step(self, force_n: float, dt_ns: int) -> None:
         """Advance by `dt_ns`, at most 1 ms, with this force of motor and hand together."""
         dt_s = dt_ns / NS_PER_S
         if self._meets:
-            over_m = self.place_m - _OBJECT * self.half_m
+            over_m = self.position_m - _OBJECT * self.half_m
             self.contact = over_m > 0.0
             self.push_n = -_OBJECT_N_M * over_m if self.contact else 0.0
         self.speed_m_s += (
             (force_n + self.push_n - _FRICTION_N_S_M * self.speed_m_s) / _MASS_KG * dt_s
         )
-        self.place_m += self.speed_m_s * dt_s
+        self.position_m += self.speed_m_s * dt_s
 
 
 def built_in_axes(names: Sequence[AxisName], *, meets: bool) -> list[SimulatedAxis]:
@@ -261,9 +265,9 @@ def built_in_axes(names: Sequence[AxisName], *, meets: bool) -> list[SimulatedAx
     return [SimulatedAxis(BUILT_IN_AXES[name], meets=meets) for name in names]
 
 
-def check_axes(who: str, has: Sequence[AxisFacts], needed: Sequence[AxisName]) -> None:
+def check_axes(who: str, has: Sequence[AxisCapabilities], needed: Sequence[AxisName]) -> None:
     """Raise ConfigError unless `who` has exactly the axes that the setup names."""
-    names = tuple(facts.name for facts in has)
+    names = tuple(capabilities.name for capabilities in has)
     if names != tuple(needed):
         raise ConfigError(
             f"{who} has the axes {', '.join(('x', 'y', *names))}, but the setup has "

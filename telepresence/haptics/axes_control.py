@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from telepresence.haptics.axes import AxisName, AxisValue, MoreAxis
-from telepresence.haptics.figures import PortFigures
+from telepresence.haptics.haptic_metrics import PortMetrics
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.passivity import PortController
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
@@ -17,9 +17,9 @@ from telepresence.haptics.sample import Command, Feedback
 _tuple = tuple.__new__
 
 
-def port_figures(controller: PortController) -> PortFigures:
+def port_metrics(controller: PortController) -> PortMetrics:
     """Return the energies of a controller's port (µJ), and the counts of what it did."""
-    return PortFigures(
+    return PortMetrics(
         energy_in_uj=controller.energy_in_uj,
         energy_out_uj=controller.energy_out_uj,
         granted_uj=controller.granted_uj,
@@ -44,7 +44,7 @@ class _Axes:
 
     @property
     def names(self) -> list[AxisName]:
-        return [axis.facts.name for axis in self.axes]
+        return [axis.capabilities.name for axis in self.axes]
 
     def row(self) -> list[float]:
         """Return, of each axis, place (m; rad), force (N; N m) and credit (µJ)."""
@@ -52,7 +52,7 @@ class _Axes:
         for axis, controller in zip(self.axes, self.controllers, strict=True):
             lever_m = axis.lever_m
             force = getattr(axis, self._force) * lever_m
-            values += axis.place_m / lever_m, force, controller.credit_uj
+            values += axis.position_m / lever_m, force, controller.credit_uj
         return values
 
     def values(self) -> tuple[AxisValue, ...]:
@@ -64,10 +64,10 @@ class _Axes:
             for axis, controller, before in zip(self.axes, self.controllers, acted, strict=True)
         )
 
-    def report(self) -> dict[str, PortFigures]:
+    def report(self) -> dict[str, PortMetrics]:
         """Return the energies of each axis' port, by its name."""
         return {
-            axis.facts.name: port_figures(controller)
+            axis.capabilities.name: port_metrics(controller)
             for axis, controller in zip(self.axes, self.controllers, strict=True)
         }
 
@@ -87,7 +87,7 @@ class RobotAxes(_Axes):
                     speed_m_s=axis.most_m_s,
                     half_width_m=axis.half_m,
                 ),
-                x_m=axis.place_m,
+                x_m=axis.position_m,
             )
             for axis in axes
         ]
@@ -105,28 +105,28 @@ class RobotAxes(_Axes):
         for index, (axis, controller) in enumerate(zip(self.axes, self.controllers, strict=True)):
             own = None
             if command is not None:
-                place_m, energy_uj, acted = command[-1][index]
+                position_m, energy_uj, acted = command[-1][index]
                 if pressed:
-                    self._offsets[index] = controller.reference_x_m - place_m
-                place_m += self._offsets[index]
-                values = (place_m, 0.0, energy_uj, *command[3:6], acted, *command[7:])
+                    self._offsets[index] = controller.reference_x_m - position_m
+                position_m += self._offsets[index]
+                values = (position_m, 0.0, energy_uj, *command[3:6], acted, *command[7:])
                 own = _tuple(Command, values)
             controller.speed_m_s = speed * axis.most_m_s
             axis.force_n, _ = controller.step(
-                own, axis.place_m, 0.0, axis.speed_m_s, 0.0, dt_ns, touching=axis.contact
+                own, axis.position_m, 0.0, axis.speed_m_s, 0.0, dt_ns, touching=axis.contact
             )
 
     def release(self) -> None:
         """The robot follows no hand in this cycle."""
         for axis, controller in zip(self.axes, self.controllers, strict=True):
-            controller.release(axis.place_m, 0.0)
+            controller.release(axis.position_m, 0.0)
             axis.force_n = 0.0
 
 
 class JoystickAxes(_Axes):
     """At the joystick: each axis of the handle feels the robot's force."""
 
-    _told, _force = "place_m", "force_n"
+    _told, _force = "position_m", "force_n"
 
     def __init__(self, axes: Sequence[MoreAxis], model: JoystickControllerModel | None) -> None:
         self.axes = axes
@@ -145,4 +145,4 @@ class JoystickAxes(_Axes):
                 values = (force_n, 0.0, energy_uj, *feedback[3:6], acted, *feedback[7:])
                 own = _tuple(Feedback, values)
             controller.limit_n = min(limit_n, axis.force_limit_n)
-            axis.force_n, _ = controller.step(own, axis.place_m, 0.0, last_ns)
+            axis.force_n, _ = controller.step(own, axis.position_m, 0.0, last_ns)

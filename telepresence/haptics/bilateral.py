@@ -10,18 +10,18 @@ from math import hypot
 from typing import Any, Protocol
 
 from kontur_av.clock import NS_PER_MS
+from telepresence.haptics.authority import ControlAuthority
 from telepresence.haptics.axes import MoreAxis
-from telepresence.haptics.axes_control import JoystickAxes, RobotAxes, port_figures
+from telepresence.haptics.axes_control import JoystickAxes, RobotAxes, port_metrics
 from telepresence.haptics.board import Board
 from telepresence.haptics.envelope import Hold, SafetyEnvelope
-from telepresence.haptics.figures import PortFigures
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
+from telepresence.haptics.haptic_metrics import PortMetrics
 from telepresence.haptics.joystick import Joystick
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.mediated.estimator import Residual, WallEstimator
-from telepresence.haptics.ownership import HapticOwnership
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
 from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
@@ -109,9 +109,9 @@ class _Side:
         acted, self._acted = controller.acted != self._acted, controller.acted
         return acted
 
-    def report(self) -> PortFigures:
+    def report(self) -> PortMetrics:
         """Return the energies of the port (µJ), and the counts of the passivity controller."""
-        return port_figures(self.controller)
+        return port_metrics(self.controller)
 
 
 class JoystickSide(_Side):
@@ -221,7 +221,7 @@ class RobotSide(_Side):
         link: HapticLink[Feedback, Command] | None = None,
         mediated: bool = False,
         residual: bool = False,
-        ownership: HapticOwnership | None = None,
+        ownership: ControlAuthority | None = None,
         envelope: SafetyEnvelope | None = None,
     ) -> None:
         self.robot = robot = robot or Robot(board=board)
@@ -259,7 +259,7 @@ class RobotSide(_Side):
         if estimator is not None and self._session.asking != self._asking:
             # A joystick that starts asks for a session long before one begins.
             self._asking = self._session.asking
-            estimator.tell_again()
+            estimator.publish_again()
         if envelope is not None:
             envelope.command_age_ns = self.link.command_age_ns(now_ns)
         acted = self._advance(now_ns, advance_ns)

@@ -111,10 +111,10 @@ class _Rays:
 
     def at(self, angle: float) -> tuple[float, float]:
         """Return the radius (m) in the direction `angle` (rad), and its slope (m/rad)."""
-        place = (angle % tau) * (self.STEPS / tau)
-        index = min(int(place), self.STEPS - 1)
+        position = (angle % tau) * (self.STEPS / tau)
+        index = min(int(position), self.STEPS - 1)
         low, high = self.radii[index], self.radii[index + 1]
-        return low + (high - low) * (place - index), (high - low) * (self.STEPS / tau)
+        return low + (high - low) * (position - index), (high - low) * (self.STEPS / tau)
 
 
 class Board:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, fields
 from enum import StrEnum
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.figures import Newest
+from kontur_av.metrics import Newest
+from telepresence.haptics.authority import AuthorityEvent
 from telepresence.haptics.echo import ANY_AGE_NS
-from telepresence.haptics.ownership import OwnerEvent
 from telepresence.haptics.sample import STATE_APPLICATION, Command
 
 #: Who stopped it, by a sample; and where nobody knows.
@@ -87,7 +87,7 @@ class Hold(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SafetyFigures:
+class SafetyMetrics:
     """The safety envelope at the robot (docs/safety.md)."""
 
     #: Why the robot holds still now; empty: it follows the hand.
@@ -107,13 +107,13 @@ class SafetyFigures:
     #: Emergency stops.
     stops: int = 0
     #: Stops, releases, and what the robot refused: the newest 200 since its process began.
-    events: Newest[tuple[OwnerEvent, ...]] = ()
+    events: Newest[tuple[AuthorityEvent, ...]] = ()
 
 
 class SafetyEnvelope:
     """The state of one robot's envelope. It starts without a press, so nothing moves at first.
 
-    stopped: an emergency stop of an earlier life holds; then `handle_stop` says who ordered it.
+    stopped: an emergency stop of an earlier start holds; then `handle_stop` says who ordered it.
 
     hold, since_ns: why the robot holds still, and since when.
     waiting: a new press is missing.
@@ -140,7 +140,7 @@ class SafetyEnvelope:
         self._hand_max_ns = round(limits.hand_max_age_s * NS_PER_S) + delay_ns
         self.command_age_ns: int | None = None
         self.stopped, self._by = stopped, ""
-        self._events: deque[OwnerEvent] = deque(maxlen=200)
+        self._events: deque[AuthorityEvent] = deque(maxlen=200)
         self.blind = False
         self.hold = Hold.STARTED
         self.since_ns = now_ns
@@ -212,7 +212,7 @@ class SafetyEnvelope:
         return ""
 
     def add_event(self, what: str, now_ns: int) -> None:
-        self._events.append(OwnerEvent(now_ns, what))
+        self._events.append(AuthorityEvent(now_ns, what))
 
     def admit(self, command: Command | None, x_m: float, y_m: float, now_ns: int) -> Command | None:
         """Return the command that the controller may follow.
@@ -252,11 +252,11 @@ class SafetyEnvelope:
             self._set_hold(_NONE, now_ns)
         return _tuple(Command, (to_x, to_y, *command[2:]))
 
-    def report(self) -> SafetyFigures:
+    def report(self) -> SafetyMetrics:
         """Return what holds the robot, why, since when, and the counts."""
         x_m, y_m = self.offset_m
         age_ns = self.command_age_ns
-        return SafetyFigures(
+        return SafetyMetrics(
             hold=self.hold,
             since_s=round(self.since_ns / NS_PER_S, 3),
             waiting=self.waiting,

@@ -83,7 +83,7 @@ PUSH = HandModel(stiffness_n_m=1000.0, damping_n_s_m=20.0, mass_kg=0.4, push_n=4
 #: again, and to move from one to the next, and tries again if the robot does not follow by then.
 _LOST_NS = 300 * NS_PER_MS
 _AGAIN_NS = 500 * NS_PER_MS
-_PATIENCE_NS = 3 * NS_PER_S
+_TIMEOUT_NS = 3 * NS_PER_S
 
 
 class Grip:
@@ -119,7 +119,7 @@ class Grip:
             if lost or waiting:
                 self.let_go(now_ns)
         elif self.pressed:
-            if lost or (waiting and since_ns > _PATIENCE_NS):
+            if lost or (waiting and since_ns > _TIMEOUT_NS):
                 self.let_go(now_ns)
             elif not waiting:
                 self.following = True

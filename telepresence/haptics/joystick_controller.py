@@ -43,7 +43,7 @@ class JoystickControllerModel:
     starved_s: the damping stays this long after the robot's credit has lacked.
     rate_n_s, damping_rate_n_s: fastest change of the displayed force and of the damping force.
     relax_s: time constant with which the force decays without samples.
-    patience_s: it does not decay before this; bursts of losses are shorter.
+    timeout_s: it does not decay before this; bursts of losses are shorter.
     acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
     fade_n_m: stiffness with which a force fades when its credit is used up.
     regain_n_s: how fast the force returns after a fade.
@@ -60,7 +60,7 @@ class JoystickControllerModel:
     rate_n_s: float = 800.0
     damping_rate_n_s: float = 250.0
     relax_s: float = 0.1
-    patience_s: float = 0.08
+    timeout_s: float = 0.08
     acceleration_m_s2: float = 150.0
     fade_n_m: float = 2000.0
     regain_n_s: float = 30.0
@@ -145,7 +145,7 @@ class JoystickController(PortController):
         else:
             port.handle_total(feedback[2], dt_ns)
             self._silent_s = 0.0
-        if self._silent_s > self.model.patience_s or (feedback is not None and feedback[7]):
+        if self._silent_s > self.model.timeout_s or (feedback is not None and feedback[7]):
             keep = max(0.0, 1.0 - dt_s / self.model.relax_s)
             self._goal_x *= keep
             self._goal_y *= keep

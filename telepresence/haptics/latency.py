@@ -12,7 +12,7 @@ _TURN_NS = 30 * NS_PER_S
 _NEVER_NS = -(1 << 62)
 _PENDING_DEPTH = 65536
 #: How long a received stamp waits for the sender's.
-_PATIENCE_NS = 5 * NS_PER_S
+_TIMEOUT_NS = 5 * NS_PER_S
 
 
 class LatencyMatcher:
@@ -62,7 +62,7 @@ class LatencyMatcher:
         newest_ns = np.maximum.accumulate(np.concatenate(([self._matched_ns], sent_ns)))
         self._matched_ns = int(newest_ns[-1])
         matched = sent_ns > newest_ns[:-1]
-        waiting = ~matched & (now_ns - received_ns <= _PATIENCE_NS)
+        waiting = ~matched & (now_ns - received_ns <= _TIMEOUT_NS)
         self.unmatched += len(matched) - int(np.count_nonzero(matched | waiting))
         matches = np.stack((received_ns, delays_ns), axis=1)[matched]
         self._pending = self._pending[waiting]

@@ -7,11 +7,11 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
-from kontur_av.figures import figures_of
+from kontur_av.metrics import metrics_of
 from telepresence.haptics.axes import AxisTotals
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
 from telepresence.haptics.echo import EchoProbe
-from telepresence.haptics.figures import SamplesReceived, SamplesSent
+from telepresence.haptics.haptic_metrics import SamplesReceived, SamplesSent
 from telepresence.haptics.sample import (
     FLAG_ECHOES,
     FLAG_HOLDING,
@@ -79,7 +79,7 @@ class PeerLost:
 
 @dataclass(frozen=True, slots=True)
 class PeerRestarted:
-    """A session began with a new life of the peer; noticed at `now_ns`."""
+    """A session began with a new start of the peer; noticed at `now_ns`."""
 
     now_ns: int
 
@@ -328,14 +328,14 @@ class HapticLink(Generic[Out, In]):
         self._received_stamps.clear()
         return taken
 
-    def sent_figures(self) -> SamplesSent:
+    def sent_metrics(self) -> SamplesSent:
         """Return the counters of what this end sends."""
         left_out = None if self.deadband is None else self.deadband.left_out
         return SamplesSent(sent=self.sent, left_out=left_out)
 
-    def received_figures(self) -> SamplesReceived:
+    def received_metrics(self) -> SamplesReceived:
         """Return the counters of what comes to this end."""
-        return figures_of(SamplesReceived, self)
+        return metrics_of(SamplesReceived, self)
 
     @property
     def restarts(self) -> int:
@@ -424,25 +424,25 @@ class HapticLink(Generic[Out, In]):
 
 
 def joystick_link(
-    *, life: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False, more: int = 0
+    *, boot_id: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False, more: int = 0
 ) -> HapticLink[Command, Feedback]:
     """Return the joystick's end: it sends commands and receives feedback.
 
     more: the number of axes behind x and y.
     """
     band = command_deadband() if deadband else None
-    session = JoystickSession(life)
+    session = JoystickSession(boot_id)
     return HapticLink(
         pack_command, read_feedback, session, max_age_ns=max_age_ns, deadband=band, more=more
     )
 
 
 def robot_link(
-    *, life: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False, more: int = 0
+    *, boot_id: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False, more: int = 0
 ) -> HapticLink[Feedback, Command]:
     """Return the robot's end: it sends feedback and receives commands."""
     band = feedback_deadband() if deadband else None
-    session = RobotSession(life)
+    session = RobotSession(boot_id)
     return HapticLink(
         pack_feedback, read_command, session, max_age_ns=max_age_ns, deadband=band, more=more
     )

@@ -9,7 +9,13 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.axes import AxisFacts, AxisName, MoreAxis, SimulatedAxis, built_in_axes
+from telepresence.haptics.axes import (
+    AxisCapabilities,
+    AxisName,
+    MoreAxis,
+    SimulatedAxis,
+    built_in_axes,
+)
 from telepresence.haptics.board import WALL_X_M as WALL_X_M
 from telepresence.haptics.board import Board, led_at
 from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, MODE_POSITION, MODE_TORQUE
@@ -44,7 +50,7 @@ class JointReading(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class RobotFacts:
+class RobotCapabilities:
     """What a robot is. The session keeps it within these limits. At twice its force or speed, and
     outside of its workspace, it is switched off.
 
@@ -64,7 +70,7 @@ class RobotFacts:
     speed_m_s: float = 0.5
     half_width_m: float = 0.15
     half_height_m: float = 0.10
-    more: tuple[AxisFacts, ...] = ()
+    more: tuple[AxisCapabilities, ...] = ()
     runs_alone: bool = False
     two_hands: bool = False
     sources: Mapping[str, str] = field(default_factory=dict)
@@ -81,7 +87,7 @@ class Robot:
     coupled: the caller computes the force of impedance mode, such as the bilateral controller, and
     calls `step`; otherwise call `drive`.
     work_j: work that the joints have done at the tip.
-    facts: of a user's robot (`telepresence.haptics.robot_device`); None for the simulated one.
+    capabilities: of a user's robot (`telepresence.haptics.robot_device`); None for the simulated one.
     error: why a user's robot cannot go on, in one line.
     more: its axes behind x and y. They brake while the robot is not coupled.
     holds: the hand of a user's robot holds a ball.
@@ -91,7 +97,7 @@ class Robot:
     It is coupled at first.
     """
 
-    facts: RobotFacts | None = None
+    capabilities: RobotCapabilities | None = None
     error = ""
     holds = False
 

@@ -35,7 +35,7 @@ class RobotControllerModel:
     relax_s: without commands the reference moves to the tip with this time constant, so that the
     tip's pressure decays. let_go_s: as much while the caller wants it; a soft wall pushes the tip
     back (1 + stiffness / wall) times as slowly.
-    patience_s: before this it stands still; bursts of losses are shorter.
+    timeout_s: before this it stands still; bursts of losses are shorter.
     half_width_m, half_height_m: the reference stays within the board.
     reserve_j, limit_j: see `Port`. The reserve is about the energy of the moving tip; the energy
     recovered by braking pays for the next movement. The limit lets an approach through a long delay
@@ -55,7 +55,7 @@ class RobotControllerModel:
     acceleration_m_s2: float = 50.0
     relax_s: float = 0.2
     let_go_s: float = 0.02
-    patience_s: float = 0.08
+    timeout_s: float = 0.08
     half_width_m: float = 0.15
     half_height_m: float = 0.10
     reserve_j: float = 0.020
@@ -147,7 +147,7 @@ class RobotController(PortController):
         else:
             port.handle_total(command[2], dt_ns)
             self._silent_s = 0.0
-        if command is None and self._silent_s <= self.model.patience_s and not self.letting_go:
+        if command is None and self._silent_s <= self.model.timeout_s and not self.letting_go:
             self.holding = True
             vx = vy = 0.0
         elif (

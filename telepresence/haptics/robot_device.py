@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol, cast
 from kontur_av.errors import ConfigError
 from kontur_av.returned import PartError, fault_of, taken
 from telepresence.haptics.axes import AxisReading, MoreAxes, MoreAxis, SimulatedAxis
-from telepresence.haptics.robot import JointReading, Robot, RobotFacts
+from telepresence.haptics.robot import JointReading, Robot, RobotCapabilities
 from telepresence.haptics.sample import MODE_OFF
 
 #: The robot that the session simulates.
@@ -54,11 +54,11 @@ class RobotDevice(Protocol):
     """
 
     @property
-    def facts(self) -> RobotFacts:
+    def capabilities(self) -> RobotCapabilities:
         """What it is; asked for after `configure`."""
 
     def configure(self) -> None:
-        """Connect to the robot. Raises ConfigError, with the mend, if that is not possible."""
+        """Connect to the robot. Raises ConfigError, with the fix, if that is not possible."""
 
     def power_on(self) -> None:
         """Give it power; it must not move."""
@@ -119,20 +119,20 @@ class DrivenRobot(Robot):
         try:
             device.configure()
             call = "facts"
-            self.facts = facts = taken(RobotFacts, device.facts, call)
+            self.capabilities = capabilities = taken(RobotCapabilities, device.capabilities, call)
             call = "power_on()"
             self._powered = True
             device.power_on()
             call = "read()"
             first = taken(RobotReading, device.read(), call)
             super().__init__(x_m=first.x_m, y_m=first.y_m)
-            self._takes_places = facts.takes == "position"
+            self._takes_positions = capabilities.takes == "position"
             #: As the driver has them; None without more axes.
-            self._axes: MoreAxes | None = cast(MoreAxes, device) if facts.more else None
-            if self._takes_places:
-                self.more = [SimulatedAxis(each, meets=False) for each in facts.more]
+            self._axes: MoreAxes | None = cast(MoreAxes, device) if capabilities.more else None
+            if self._takes_positions:
+                self.more = [SimulatedAxis(each, meets=False) for each in capabilities.more]
             else:
-                self.more = [MoreAxis(each) for each in facts.more]
+                self.more = [MoreAxis(each) for each in capabilities.more]
             if self._axes is not None:
                 self._take_more(self._axes, stand=True)
         except Exception as error:
@@ -142,7 +142,7 @@ class DrivenRobot(Robot):
             kind = ConfigError if call == "configure()" else PartError
             raise kind(words + (f"; {self._stuck}" if self._stuck else "")) from error
         self._press = self._surroundings.press
-        self._limit = min(facts.force_limit_n, self.model.force_limit_n)
+        self._limit = min(capabilities.force_limit_n, self.model.force_limit_n)
         self._take(first)
 
     def _switch(self, mode: int, *, coupled: bool = False) -> None:
@@ -166,14 +166,14 @@ class DrivenRobot(Robot):
             self.error = fault_of(call, error)
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
-        if self._takes_places:
+        if self._takes_positions:
             super().step(fx_n, fy_n, dt_ns)
         else:
             limit = self._limit
             fx_n, fy_n = max(-limit, min(limit, fx_n)), max(-limit, min(limit, fy_n))
         call = "write_force()"
         try:
-            if self._takes_places:
+            if self._takes_positions:
                 call = "write_position()"
                 self._lead()
             else:
@@ -183,7 +183,7 @@ class DrivenRobot(Robot):
             call = "read()"
             reading = taken(RobotReading, self.device.read(), call)
             call = "read_more()"
-            if self._takes_places:
+            if self._takes_positions:
                 off_m = hypot(reading.x_m - self.x_m, reading.y_m - self.y_m)
                 if self._feel(reading) and not off_m < _LAG_M:
                     self.error = "it does not follow the places that it is given"
@@ -191,7 +191,7 @@ class DrivenRobot(Robot):
                 self._take(reading)
                 self.work_j += (fx_n * self.vx_m_s + fy_n * self.vy_m_s) * dt_ns / 1e9
             if self._axes is not None:
-                self._take_more(self._axes, stand=not self._takes_places)
+                self._take_more(self._axes, stand=not self._takes_positions)
         except Exception as error:
             # The driver is the user's: whatever it raises is an error of the robot.
             self.error = fault_of(call, error)
@@ -201,7 +201,7 @@ class DrivenRobot(Robot):
         self.device.write_position(self.x_m, self.y_m, self.vx_m_s, self.vy_m_s)
         if self._axes is not None:
             self._axes.write_more_positions(
-                [axis.place_m / axis.lever_m for axis in self.more],
+                [axis.position_m / axis.lever_m for axis in self.more],
                 [axis.speed_m_s / axis.lever_m for axis in self.more],
             )
 
@@ -265,13 +265,15 @@ class DrivenRobot(Robot):
         """Take the measurements behind x and y; stand: also the places, else the forces only."""
         readings = taken(tuple[AxisReading, ...], axes.read_more(), "read_more()")
         for axis, reading in zip(self.more, readings, strict=True):
-            place_m, speed_m_s = axis.place_m, axis.speed_m_s
+            position_m, speed_m_s = axis.position_m, axis.speed_m_s
             trouble = axis.take(reading)
             if not stand:
-                off_m = abs(axis.place_m - place_m)
-                axis.place_m, axis.speed_m_s = place_m, speed_m_s
+                off_m = abs(axis.position_m - position_m)
+                axis.position_m, axis.speed_m_s = position_m, speed_m_s
                 if not trouble and off_m > _LAG_M:
-                    trouble = f"{axis.facts.name} does not follow the places that it is given"
+                    trouble = (
+                        f"{axis.capabilities.name} does not follow the places that it is given"
+                    )
             self.error = self.error or trouble
 
     def _feel(self, reading: RobotReading) -> bool:

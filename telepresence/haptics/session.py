@@ -1,6 +1,6 @@
 """Sessions of the haptic exchange: which samples belong together, and to these two ends.
 
-Samples of an earlier life, or replayed ones, must move nothing and grant no energy. So each sample
+Samples of an earlier start, or replayed ones, must move nothing and grant no energy. So each sample
 bears a session number, and an end uses only samples of its present session. A session begins with
 an exchange in which each end sees a fresh number of its own come back, like the three-way handshake
 of TCP (RFC 9293 section 3.5). docs/haptics-sample.md has its steps.
@@ -26,17 +26,17 @@ _ANSWER_EVERY = 8
 #: reordered offers can leave the ends in different sessions.
 _STRAYS = 20
 #: A robot tells so often, in samples, whether a partner's robot is there.
-_TELL_EVERY = 100
-#: Offers that the robot remembers. More only come about by requests from more than one life.
+_PUBLISH_EVERY = 100
+#: Offers that the robot remembers. More only come about by requests from more than one start.
 _OFFERS = 8
-#: Numbers of lives are below this.
-LIVES = 1 << 24
+#: Numbers of starts are below this.
+BOOT_IDS = 1 << 24
 _REQUESTS = 1 << 8
 
 
-def _life(number: int) -> int:
-    if not 0 < number < LIVES:
-        raise ValueError(f"the number of a life is 1 to {LIVES - 1}, not {number}")
+def _boot_id(number: int) -> int:
+    if not 0 < number < BOOT_IDS:
+        raise ValueError(f"the number of a life is 1 to {BOOT_IDS - 1}, not {number}")
     return number * _REQUESTS
 
 
@@ -47,7 +47,7 @@ def _after(session: int) -> int:
 class JoystickSession:
     """The joystick's end; it asks.
 
-    life: a number from 1 to 2^24-1 that no earlier life of this end had; for the shell to draw.
+    boot_id: a number from 1 to 2^24-1 that no earlier start of this end had; for the shell to draw.
 
     sending, receiving: session numbers of the samples that it sends and uses, 0 for none.
     restarts: how often the robot's life changed.
@@ -56,10 +56,10 @@ class JoystickSession:
     there is one.
     """
 
-    def __init__(self, life: int) -> None:
+    def __init__(self, boot_id: int) -> None:
         self.sending = self.receiving = 0
         self.restarts = self.strays = 0
-        self._life = _life(life)
+        self._boot_id = _boot_id(boot_id)
         self._requests = 0
         self._asking = True
         self._wait = 0
@@ -120,7 +120,7 @@ class JoystickSession:
 
     @property
     def _number(self) -> int:
-        return self._life + self._requests
+        return self._boot_id + self._requests
 
     def _ask(self) -> None:
         if not self._asking:
@@ -136,10 +136,10 @@ class RobotSession:
     asking: number of the life that the newest request came from; 0 before the first.
     """
 
-    def __init__(self, life: int) -> None:
+    def __init__(self, boot_id: int) -> None:
         self.sending = self.receiving = 0
         self.restarts = self.strays = self.asking = 0
-        self._life = _life(life)
+        self._boot_id = _boot_id(boot_id)
         #: Session numbers by the number of the request.
         self._offers: dict[int, int] = {}
         self._offered = 0
@@ -155,9 +155,9 @@ class RobotSession:
         """The joystick asks for a session."""
         number = greeting.number
         self.asking = number // _REQUESTS
-        if greeting.answers != self._life:
-            # Meant for an earlier life, or from a joystick that has heard none.
-            self._answer = Greeting(0, self._life, number)
+        if greeting.answers != self._boot_id:
+            # Meant for an earlier start, or from a joystick that has heard none.
+            self._answer = Greeting(0, self._boot_id, number)
             return
         offer = self._offers.get(number)
         # One that asks again for the session that it has, and does not know it, lost its memory.
@@ -167,7 +167,7 @@ class RobotSession:
             self._offers[number] = offer
             if len(self._offers) > _OFFERS:
                 del self._offers[next(iter(self._offers))]
-        self._answer = Greeting(offer, self._life, number)
+        self._answer = Greeting(offer, self._boot_id, number)
 
     def handle_change(self, session: int) -> bool:
         """A sample with another number than `receiving` came; return whether to change over."""
@@ -175,10 +175,10 @@ class RobotSession:
             if offer == session:
                 self.sending = self.receiving = self._offered = session
                 self._offers = {number: offer}
-                life = number // _REQUESTS
-                if self._peer not in (0, life):
+                boot_id = number // _REQUESTS
+                if self._peer not in (0, boot_id):
                     self.restarts += 1
-                self._peer = life
+                self._peer = boot_id
                 return True
         if session not in self._strange:
             self._strange.append(session)
@@ -195,17 +195,17 @@ class RobotSession:
                 self._wait -= 1
                 return None
             if answer is None:
-                return self._tell_partner()
+                return self._publish_partner()
             self._wait = _ANSWER_EVERY - 1
         self._answer = None
-        return (answer or Greeting(0, self._life))._replace(partner=self.partner is True)
+        return (answer or Greeting(0, self._boot_id))._replace(partner=self.partner is True)
 
-    def _tell_partner(self) -> Greeting | None:
+    def _publish_partner(self) -> Greeting | None:
         self._untold += 1
-        if self.partner is None or self._untold < _TELL_EVERY:
+        if self.partner is None or self._untold < _PUBLISH_EVERY:
             return None
         self._untold = 0
-        return Greeting(self.sending, self._life, partner=self.partner)
+        return Greeting(self.sending, self._boot_id, partner=self.partner)
 
     def _new_session(self, greeting: Greeting) -> int:
         """Return a session number that no sample under way should have."""
@@ -215,7 +215,7 @@ class RobotSession:
             session = _after(greeting.session)
         else:
             # Both ends began a life, so neither knows what was used before.
-            session = _after((greeting.number + self._life) // _REQUESTS)
+            session = _after((greeting.number + self._boot_id) // _REQUESTS)
         used = {greeting.session, self.receiving, *self._offers.values(), *self._strange}
         while session in used:
             session = _after(session)

@@ -9,25 +9,25 @@
 | `evdev` | the first game controller |
 | `evdev:PATH` | the one at PATH, such as /dev/input/event5 |
 | `udp:HOST:PORT` | a controller in any language on this machine; with `:KEYFILE`, on any |
-| `module:Class` | a user's `JoystickDevice`; so is the name of an entry point of `JOYSTICK_DOOR` |
+| `module:Class` | a user's `JoystickDevice`; so is the name of an entry point of `JOYSTICK_PLUGINS` |
 
 | SPEC of a robot | what |
 |---|---|
 | `sim` | the simulated robot |
 | `udp:HOST:PORT` | as a joystick's |
-| `module:Class` | a user's `RobotDevice`; so is the name of an entry point of `ROBOT_DOOR` |
+| `module:Class` | a user's `RobotDevice`; so is the name of an entry point of `ROBOT_PLUGINS` |
 """
 
 from collections.abc import Sequence
 
 from kontur_av.errors import ConfigError
-from kontur_av.parts import PartDoor, make_part
+from kontur_av.parts import PluginRegistry, make_part
 from kontur_av.returned import PartError
 from telepresence.haptics.axes import AxisName, check_axes
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.user import UserJoystick
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.robot import Robot, RobotFacts
+from telepresence.haptics.robot import Robot, RobotCapabilities
 from telepresence.haptics.robot_device import SIMULATED_ROBOT, DrivenRobot, RobotDevice
 from telepresence.haptics.udp_line import UDP
 
@@ -35,7 +35,7 @@ SIMULATED = "sim"
 PAGE = "page"
 ROS2_HAND = "ros2"
 GAME_CONTROLLER = "evdev"
-JOYSTICK_DOOR = PartDoor(
+JOYSTICK_PLUGINS = PluginRegistry(
     "joystick",
     "sim, sim:FAULT, page, ros2, evdev, evdev:/dev/input/eventN, udp:HOST:PORT or module:Class",
     "kontur_av.joysticks",
@@ -78,18 +78,18 @@ def open_device(
 
     hand: holds a simulated joystick in the application. axes: those behind x and y; None: any.
     """
-    device: JoystickDevice = make_part(spec, JOYSTICK_DOOR, hand=hand, axes=axes or ())
-    if spec.partition(":")[0] not in JOYSTICK_DOOR.built_in:
+    device: JoystickDevice = make_part(spec, JOYSTICK_PLUGINS, hand=hand, axes=axes or ())
+    if spec.partition(":")[0] not in JOYSTICK_PLUGINS.built_in:
         try:
             device = UserJoystick(device)
         except PartError as error:
             raise PartError(f"joystick {spec}: {error}") from None
     if axes is not None:
-        check_axes(f"joystick {spec}", device.facts.more, axes)
+        check_axes(f"joystick {spec}", device.capabilities.more, axes)
     return device
 
 
-ROBOT_DOOR = PartDoor(
+ROBOT_PLUGINS = PluginRegistry(
     "robot",
     "sim, udp:HOST:PORT or module:Class",
     "kontur_av.robots",
@@ -105,20 +105,20 @@ def load_robot(spec: str, axes: Sequence[AxisName] = ()) -> RobotDevice | Robot:
 
     axes: those behind x and y, for one that has what it is asked for.
     """
-    made: RobotDevice | Robot = make_part(spec, ROBOT_DOOR, axes=axes)
+    made: RobotDevice | Robot = make_part(spec, ROBOT_PLUGINS, axes=axes)
     return made
 
 
-def facts_of(spec: str) -> RobotFacts | None:
+def capabilities_of(spec: str) -> RobotCapabilities | None:
     """As `load_robot`: its facts; None for `sim`, and where only `configure` finds them out."""
     return getattr(load_robot(spec), "facts", None)
 
 
 def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
     """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
-    facts = getattr(load_robot(spec, axes), "facts", None)
-    if facts is not None:
-        check_axes(f"robot {spec}", facts.more, axes)
+    capabilities = getattr(load_robot(spec, axes), "facts", None)
+    if capabilities is not None:
+        check_axes(f"robot {spec}", capabilities.more, axes)
 
 
 def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
@@ -132,7 +132,7 @@ def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
     except ConfigError as error:
         raise type(error)(f"robot {spec}: {error}") from error
     try:
-        check_axes(f"robot {spec}", [axis.facts for axis in robot.more], axes)
+        check_axes(f"robot {spec}", [axis.capabilities for axis in robot.more], axes)
     except ConfigError:
         robot.close()
         raise

@@ -3,11 +3,11 @@
 from math import nan
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import FollowedAxis
-from telepresence.haptics.figures import UdpFigures
-from telepresence.haptics.robot import RobotFacts
+from telepresence.haptics.haptic_metrics import UdpMetrics
+from telepresence.haptics.robot import RobotCapabilities
 from telepresence.haptics.robot_device import RobotReading
 from telepresence.haptics.udp_line import UdpLine
 from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole, WantedState
@@ -16,13 +16,13 @@ from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole, WantedSt
 class UdpRobot:
     """The robot at `spec`, a `RobotDevice`: HOST:PORT or HOST:PORT:KEYFILE, else ConfigError.
 
-    facts: after `configure`.
+    capabilities: after `configure`.
 
     When its controller is silent it has an error, and is no more asked to be active until
     `activate` is called anew.
     """
 
-    facts: RobotFacts
+    capabilities: RobotCapabilities
 
     def __init__(self, spec: str = "") -> None:
         self._line = UdpLine(spec, UdpRole.ROBOT)
@@ -33,13 +33,13 @@ class UdpRobot:
 
     def configure(self) -> None:
         """Wait for the controller; ConfigError if it does not answer."""
-        facts = self._line.connect()
-        half_width_m, half_height_m = facts.half_m
-        self.facts = RobotFacts(
-            name=facts.name,
-            takes="position" if facts.takes_places else "force",
-            force_limit_n=facts.force_limit_n,
-            speed_m_s=facts.speed_m_s,
+        capabilities = self._line.connect()
+        half_width_m, half_height_m = capabilities.half_m
+        self.capabilities = RobotCapabilities(
+            name=capabilities.name,
+            takes="position" if capabilities.takes_positions else "force",
+            force_limit_n=capabilities.force_limit_n,
+            speed_m_s=capabilities.speed_m_s,
             half_width_m=half_width_m,
             half_height_m=half_height_m,
             runs_alone=True,
@@ -94,7 +94,7 @@ class UdpRobot:
             session.detail = WantedState.POWER
             self._lost = self._silence()
 
-    def figures(self) -> UdpFigures:
+    def metrics(self) -> UdpMetrics:
         """Return what was counted."""
         return self._session.report()
 
@@ -119,19 +119,19 @@ class UdpJoystick:
     def __init__(self, spec: str = "") -> None:
         self._line = UdpLine(spec, UdpRole.JOYSTICK)
         self._session = self._line.session
-        facts = self._line.connect()
-        half_width_m, half_height_m = facts.half_m
+        capabilities = self._line.connect()
+        half_width_m, half_height_m = capabilities.half_m
         #: What the controller said at first.
-        self.facts = JoystickFacts(
-            name=facts.name,
+        self.capabilities = JoystickCapabilities(
+            name=capabilities.name,
             half_width_m=half_width_m,
             half_height_m=half_height_m,
-            force_limit_n=facts.force_limit_n,
-            mass_kg=facts.mass_kg,
-            coulomb_n=facts.coulomb_n,
-            viscous_n_s_m=facts.viscous_n_s_m,
-            buttons=facts.buttons,
-            leds=facts.leds,
+            force_limit_n=capabilities.force_limit_n,
+            mass_kg=capabilities.mass_kg,
+            coulomb_n=capabilities.coulomb_n,
+            viscous_n_s_m=capabilities.viscous_n_s_m,
+            buttons=capabilities.buttons,
+            leds=capabilities.leds,
         )
         self._zero_x = self._zero_y = 0.0
         # With late readings the place jumps; a motion without jumps is followed at once.
@@ -146,8 +146,8 @@ class UdpJoystick:
             return _SILENT
         x, y = self._x, self._y
         return JoystickReading(
-            x.place - self._zero_x,
-            y.place - self._zero_y,
+            x.position - self._zero_x,
+            y.position - self._zero_y,
             x.speed,
             y.speed,
             reading.buttons,
@@ -162,7 +162,7 @@ class UdpJoystick:
 
     def write_force(self, x_n: float, y_n: float) -> None:
         """Order this force (N, N), cut to the device's limit, with the next cycle."""
-        limit = self.facts.force_limit_n
+        limit = self.capabilities.force_limit_n
         x_n, y_n = max(-limit, min(limit, x_n)), max(-limit, min(limit, y_n))
         self._session.axes = (x_n, 0.0, 0.0, y_n, 0.0, 0.0)
 
@@ -181,7 +181,7 @@ class UdpJoystick:
             self._x.advance(reading.axes[0], dt_ns)
             self._y.advance(reading.axes[3], dt_ns)
 
-    def figures(self) -> UdpFigures:
+    def metrics(self) -> UdpMetrics:
         """Return what was counted."""
         return self._session.report()
 

@@ -15,7 +15,7 @@ from telepresence.haptics.udp_protocol import (
     KEY_OCTETS,
     LONGEST_OCTETS,
     NO_KEY,
-    UdpFacts,
+    UdpCapabilities,
     UdpRole,
     UdpSession,
 )
@@ -24,7 +24,7 @@ from telepresence.private_file import read_private
 #: The name before a SPEC.
 UDP = "udp"
 #: How long a controller may take for a handshake and its first reading.
-_PATIENCE_NS = 2 * NS_PER_S
+_TIMEOUT_NS = 2 * NS_PER_S
 #: At most this many datagrams are read in a cycle. A flood of them ends the session by its silence.
 _MOST_A_CYCLE = 16
 #: The last command is repeated, because one may be lost.
@@ -55,22 +55,22 @@ class UdpLine:
         self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._udp.setblocking(False)
 
-    def connect(self) -> UdpFacts:
+    def connect(self) -> UdpCapabilities:
         """Wait for the first reading; return the facts. ConfigError if none comes in 2 s."""
         clock, session = MonotonicClock(), self.session
         with refused(f"{self._name} cannot be reached"):
             self._udp.connect(self._address)
         due_ns = clock.now_ns()
-        until_ns = due_ns + _PATIENCE_NS
+        until_ns = due_ns + _TIMEOUT_NS
         while session.silent and due_ns < until_ns:
             self.send()
             due_ns += NS_PER_MS
             clock.sleep_until_ns(due_ns)
             self.receive()
-        if session.silent or session.facts is None:
+        if session.silent or session.capabilities is None:
             why = session.problem or "start its controller there, with the same key"
             raise ConfigError(f"{self._name} does not answer as it should: {why}")
-        return session.facts
+        return session.capabilities
 
     def send(self) -> None:
         """Send the datagram of this cycle."""

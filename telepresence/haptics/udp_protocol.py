@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
-from kontur_av.figures import figures_of
-from telepresence.haptics.figures import UdpFigures
+from kontur_av.metrics import metrics_of
+from telepresence.haptics.haptic_metrics import UdpMetrics
 
 VERSION = 1
 #: More axes are refused for now.
@@ -66,16 +66,16 @@ class WantedState(IntEnum):
 CONTACT, DEAD_MAN = 1, 2
 
 
-class UdpFacts(NamedTuple):
+class UdpCapabilities(NamedTuple):
     """What a controller says of its device. What it has no use for is 0.
 
-    takes_places: a robot takes places and velocities, not forces.
+    takes_positions: a robot takes places and velocities, not forces.
     speed_m_s: of a robot. The three after it, buttons and leds: of a joystick.
     half_m: per axis, from the middle of the workspace to its edge.
     """
 
     name: str
-    takes_places: bool
+    takes_positions: bool
     force_limit_n: float
     speed_m_s: float
     mass_kg: float
@@ -140,15 +140,15 @@ def pack_hello(role: UdpRole, nonce: bytes, key: bytes) -> bytes:
     return body + code_of(body, key)
 
 
-def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts] | None:
+def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpCapabilities] | None:
     """Return the nonce and the facts of a controller; None if it answers an older `HELLO`.
 
     nonce: of the newest. datagram: is authentic. Raises ProtocolError, with the reason.
     """
-    takes_places = _detail(datagram, UdpKind.WELCOME)
+    takes_positions = _detail(datagram, UdpKind.WELCOME)
     body = datagram[_HEAD.size : -CODE_OCTETS]
     text = body[2 * NONCE_OCTETS + _FACTS.size :]
-    if len(body) < 2 * NONCE_OCTETS + _FACTS.size or takes_places > 1:
+    if len(body) < 2 * NONCE_OCTETS + _FACTS.size or takes_positions > 1:
         raise ProtocolError("a welcome of another form")
     if body[:NONCE_OCTETS] != nonce:
         return None
@@ -157,8 +157,8 @@ def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpFacts] | Non
     # Compared this way round, so that NaN is refused, too.
     if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(limits[5:7]) <= 16):
         raise ProtocolError("facts that no device has")
-    facts = UdpFacts._make((_text(text), bool(takes_places), *limits[:7], half_m))
-    return body[NONCE_OCTETS : 2 * NONCE_OCTETS], facts
+    capabilities = UdpCapabilities._make((_text(text), bool(takes_positions), *limits[:7], half_m))
+    return body[NONCE_OCTETS : 2 * NONCE_OCTETS], capabilities
 
 
 def pack_command(number: int, detail: int, leds: int, axes: tuple[float, ...], key: bytes) -> bytes:
@@ -229,7 +229,7 @@ class UdpSession:
     seed: 32 random octets; nonces are made of it.
 
     detail, leds, axes: of the next command, as in `pack_command`.
-    facts: of the device; None before the first handshake.
+    capabilities: of the device; None before the first handshake.
     reading: the newest; None before the first. silent: it is not of a session that goes on.
     problem: why the newest datagram was refused that was to be understood, in one line; or "".
     """
@@ -238,7 +238,7 @@ class UdpSession:
         self._role, self._key, self._seed = role, key, seed
         self.detail = self.leds = 0
         self.axes: tuple[float, ...] = _AT_REST
-        self.facts: UdpFacts | None = None
+        self.capabilities: UdpCapabilities | None = None
         self.reading: UdpReading | None = None
         self.silent = True
         self.problem = ""
@@ -306,16 +306,18 @@ class UdpSession:
             self.udp_malformed += 1
             self.problem = str(error)
 
-    def report(self) -> UdpFigures:
+    def report(self) -> UdpMetrics:
         """Return what was counted."""
-        return figures_of(UdpFigures, self)
+        return metrics_of(UdpMetrics, self)
 
-    def _begin(self, nonce: bytes, facts: UdpFacts) -> None:
-        if self._role is UdpRole.ROBOT and not (facts.force_limit_n and facts.speed_m_s):
+    def _begin(self, nonce: bytes, capabilities: UdpCapabilities) -> None:
+        if self._role is UdpRole.ROBOT and not (
+            capabilities.force_limit_n and capabilities.speed_m_s
+        ):
             raise ProtocolError("a robot without a force or a speed")
-        if self.facts not in (None, facts):
+        if self.capabilities not in (None, capabilities):
             raise ProtocolError("its facts have changed since this session began")
-        self.facts = facts
+        self.capabilities = capabilities
         self._keys = session_keys(self._key, self._nonce, nonce)
         self._sent = self._newest = self._answered = 0
         self.udp_sessions += 1

@@ -12,10 +12,10 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from telepresence.link.clock_estimator import ClockEstimate, ClockEstimator
-from telepresence.link.figures import ClockFigures
 from telepresence.link.flows import PacketReceived
+from telepresence.link.link_metrics import ClockMetrics
 from telepresence.link.supervision.message import MASTER, MESSAGE_OCTETS, MessageKind
 
 #: An age that says that no message came.
@@ -32,7 +32,7 @@ class ClockMessage(NamedTuple):
 
     version: int
     master: bool
-    life: int
+    boot_id: int
     stamp_us: int
     mark: int = 0
     age_us: int = NO_AGE_US
@@ -58,7 +58,7 @@ def pack_clock(message: ClockMessage) -> bytes:
         | message.part << 6
         | (message.piece & 0x10) << 1
         | message.piece & 0x0F,
-        message.life,
+        message.boot_id,
         message.stamp_us,
         message.mark << 24 | message.age_us,
     )
@@ -73,13 +73,13 @@ def parse_clock(data: bytes) -> ClockMessage | None:
     """Parse `data`; None if no end that follows the layout can have sent it."""
     if not is_clock(data):
         return None
-    first, flags, life, stamp_us, rest = _LAYOUT.unpack(data)
-    if not first >> 4 or not life:
+    first, flags, boot_id, stamp_us, rest = _LAYOUT.unpack(data)
+    if not first >> 4 or not boot_id:
         return None
     return ClockMessage(
         version=first >> 4,
         master=bool(flags & MASTER),
-        life=life,
+        boot_id=boot_id,
         stamp_us=stamp_us,
         mark=rest >> 24,
         age_us=rest & NO_AGE_US,
@@ -128,7 +128,7 @@ class _WholeClock:
         if pieces and now_ns - self._newest_ns > _FORGET_NS:
             pieces.clear()
         self._newest_ns = now_ns
-        later_us = signed(stamp_us - self._newest_us) if pieces else 0
+        later_us = serial_difference(stamp_us - self._newest_us) if pieces else 0
         # 1: the stamp has begun anew. -1: the message was sent before that, and came after.
         turns = (later_us > 0 and stamp_us < self._newest_us) - (
             later_us < 0 and stamp_us > self._newest_us
@@ -155,31 +155,31 @@ class _WholeClock:
 class ClockExchange:
     """Sends CLOCK messages and takes the peer's; call `poll_transmit` in a slot from `next_ns` on.
 
-    version: of the link. master, life: of this end. told_offset_ns: the clock that is told, minus
+    version: of the link. master, boot_id: of this end. told_offset_ns: the clock that is told, minus
         that of all `now_ns`. Tell wall time: then offsets are small, and mean something to people.
 
     next_ns: when the next message is due.
     """
 
     def __init__(
-        self, *, version: int, master: bool, life: int, told_offset_ns: int, now_ns: int
+        self, *, version: int, master: bool, boot_id: int, told_offset_ns: int, now_ns: int
     ) -> None:
         self.next_ns = now_ns
-        self._version, self._master, self._life = version, master, life
+        self._version, self._master, self._boot_id = version, master, boot_id
         self._told_offset_ns = told_offset_ns
         self._estimator = ClockEstimator()
         self._whole = _WholeClock()
         self._first = FIRST_MESSAGES
-        self._peer_life = 0
+        self._peer_boot_id = 0
         self._received: _Received | None = None
         #: By mark: when the message left.
         self._sent: dict[int, int] = {}
         self._counts_in = self._counts_out = 0
 
-    def handle_peer(self, life: int, now_ns: int) -> None:
-        """The peer has begun a new life: nothing is known of its clock."""
-        if life != self._peer_life:
-            self._peer_life = life
+    def handle_peer(self, boot_id: int, now_ns: int) -> None:
+        """The peer has begun a new start: nothing is known of its clock."""
+        if boot_id != self._peer_boot_id:
+            self._peer_boot_id = boot_id
             self._estimator.clear()
             self._whole.clear()
             self._received = None
@@ -189,14 +189,14 @@ class ClockExchange:
     def handle_message(self, data: bytes, now_ns: int, *, heard: bool) -> bool:
         """Take a message that came at `now_ns`; return False if it is not the peer's.
 
-        heard: the peer hears this life of this end, so that it means messages of this life.
+        heard: the peer hears this start of this end, so that it means messages of this start.
         """
         message = parse_clock(data)
         if (
             message is None
             or message.version != self._version
             or message.master is self._master
-            or message.life != self._peer_life
+            or message.boot_id != self._peer_boot_id
         ):
             return False
         self._counts_in += 1
@@ -233,7 +233,7 @@ class ClockExchange:
             ClockMessage(
                 self._version,
                 self._master,
-                self._life,
+                self._boot_id,
                 stamp_us % _STAMPS,
                 mark,
                 age_us,
@@ -246,10 +246,10 @@ class ClockExchange:
         """Return the offset of the peer's clock at `now_ns`; None if it is not known."""
         return self._estimator.estimate(now_ns)
 
-    def report(self, now_ns: int) -> ClockFigures:
+    def report(self, now_ns: int) -> ClockMetrics:
         """Return the estimate and the counts."""
         found = self.estimate(now_ns)
-        return ClockFigures(
+        return ClockMetrics(
             at_ns=now_ns,
             offset_ns=None if found is None else found.offset_ns,
             error_ns=None if found is None else found.error_ns,
@@ -270,7 +270,7 @@ def _part(above: int, part: int) -> int:
 _SENDER_REPORT = 200
 _NTP_AT = slice(8, 16)
 #: Reports are held back for this long if the peer's clock is not known.
-PATIENCE_NS = 3 * NS_PER_S
+TIMEOUT_NS = 3 * NS_PER_S
 #: Enough for the streams of a session.
 _MOST_HELD = 8
 
@@ -301,7 +301,7 @@ class ReportClock:
         if not self._held:
             return
         estimate = self._clock.estimate(now_ns)
-        if estimate is None and now_ns - self._since_ns < PATIENCE_NS:
+        if estimate is None and now_ns - self._since_ns < TIMEOUT_NS:
             return
         behind_ns = 0 if estimate is None else estimate.offset_ns
         for event in self._held.values():

@@ -24,12 +24,12 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.clock_exchange import ClockExchange, ReportClock, is_clock
-from telepresence.link.figures import GatewayFigures
 from telepresence.link.flows import Flow, FlowKind, HapticReceived, Level, LinkEvent, PacketReceived
+from telepresence.link.link_metrics import GatewayMetrics
 from telepresence.link.profile import LinkProfile
 from telepresence.link.queues import QueueLimits
 from telepresence.link.radio import RadioPath
-from telepresence.link.receiver import LinkReceiver, StrangerFrame
+from telepresence.link.receiver import LinkReceiver, UnknownFrame
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.message import Configuration, SupervisionTiming
 from telepresence.link.supervision.record import (
@@ -47,11 +47,11 @@ from telepresence.link.supervision.supervisor import Encounter, Supervisor
 #: Largest age of a packet while the peer may not hear it. It keeps old packets from being sent
 #: after a loss of signal. A picture of three periods (1200 octets) takes up to 115 ms beside voice
 #: on the uplink; it shall get through, because the peer may hear it although it is not heard.
-LOST_PATIENCE_NS = 120 * NS_PER_MS
+LOST_TIMEOUT_NS = 120 * NS_PER_MS
 #: Events within this time after the peer was found belong to the same contact.
 SAME_CONTACT_NS = 100 * NS_PER_MS
-#: Shift from the life number to its first frame count, so that two lives begin far apart.
-LIFE_SHIFT = 8
+#: Shift from the life number to its first frame count, so that two starts begin far apart.
+BOOT_SHIFT = 8
 #: After this long without a frame, no old header context is valid: the frame count may have gone
 #: through its whole range.
 FORGET_NS = 900 * NS_PER_S
@@ -65,7 +65,7 @@ class Gateway:
     transmit, receive: profiles of the way out and of the way in.
     transmit_flows, receive_flows: flow tables; at the peer they are exchanged.
     master: whether this end configures the other; exactly one of the two does.
-    life: 1 to 65535, a new one at each start of the gateway.
+    boot_id: 1 to 65535, a new one at each start of the gateway.
     secret: seed of the numbers by which the peer proves that it is there (`Supervisor`).
     now_ns: the instant at which it starts; its local check has passed by then.
     radio: path of the outgoing frames; by default they leave at once.
@@ -85,7 +85,7 @@ class Gateway:
         receive: LinkProfile,
         receive_flows: Sequence[Flow],
         master: bool,
-        life: int,
+        boot_id: int,
         now_ns: int,
         radio: RadioPath | None = None,
         limits: Mapping[Level, QueueLimits] | None = None,
@@ -93,9 +93,9 @@ class Gateway:
         secret: int = 0,
         told_offset_ns: int | None = None,
     ) -> None:
-        # A life that continued the counts of another one would seem to share its contexts.
+        # A start that continued the counts of another one would seem to share its contexts.
         self.sender = LinkSender(
-            transmit, transmit_flows, limits=limits, first_count=life << LIFE_SHIFT
+            transmit, transmit_flows, limits=limits, first_count=boot_id << BOOT_SHIFT
         )
         self.receiver = LinkReceiver(receive, receive_flows)
         self.receiver.cautious = True
@@ -108,7 +108,7 @@ class Gateway:
                 receive=receive,
                 receive_flows=self.receiver.flows,
             ),
-            life=life,
+            boot_id=boot_id,
             now_ns=now_ns,
             timing=timing,
             secret=secret,
@@ -118,7 +118,7 @@ class Gateway:
             self.clock = ClockExchange(
                 version=self.supervisor.configuration.version,
                 master=master,
-                life=life,
+                boot_id=boot_id,
                 told_offset_ns=told_offset_ns,
                 now_ns=now_ns,
             )
@@ -140,7 +140,7 @@ class Gateway:
         self.frames_sent: list[tuple[int, bytes]] | None = None
         self.frames_received: list[tuple[int, bytes]] | None = None
         # The peer has not been heard yet.
-        self.sender.set_patience(LOST_PATIENCE_NS)
+        self.sender.set_timeout(LOST_TIMEOUT_NS)
         self.sender.handle_peer(heard=False)
         self.handle_local_check(None, now_ns)
 
@@ -166,8 +166,8 @@ class Gateway:
             self.frames_received.append((now_ns, frame))
         receiver, supervisor = self.receiver, self.supervisor
         if not receiver.handle_frame(frame, now_ns):
-            stranger = receiver.stranger
-            if stranger is None or not self._meet(stranger, now_ns):
+            unknown = receiver.unknown
+            if unknown is None or not self._meet(unknown, now_ns):
                 return
         was_silent = not supervisor.signal
         supervisor.handle_frame(now_ns)
@@ -246,17 +246,19 @@ class Gateway:
         reports.handle_time(now_ns)
         return taken
 
-    def _meet(self, stranger: StrangerFrame, now_ns: int) -> bool:
+    def _meet(self, unknown: UnknownFrame, now_ns: int) -> bool:
         """Take a frame of another stream; return whether it is the peer's from now on."""
-        message, frames, lasts_ns = stranger
+        message, frames, lasts_ns = unknown
         if message is not None and is_clock(message):
             # It says nothing about who sends it.
             message = None
-        found = self.supervisor.handle_stranger(message, now_ns, frames=frames, lasts_ns=lasts_ns)
+        found = self.supervisor.handle_unknown_sender(
+            message, now_ns, frames=frames, lasts_ns=lasts_ns
+        )
         self._follow_supervision()
         if found is Encounter.IGNORE:
             return False
-        return self.receiver.follow_stranger(new_life=found is Encounter.RESTART)
+        return self.receiver.follow_unknown_sender(new_boot_id=found is Encounter.RESTART)
 
     def _follow_supervision(self) -> None:
         sender, receiver, supervisor = self.sender, self.receiver, self.supervisor
@@ -265,7 +267,7 @@ class Gateway:
                 sender.handle_acknowledgements(event.ids)
             elif isinstance(event, SignalLost):
                 sender.flush(event.now_ns)
-                sender.set_patience(LOST_PATIENCE_NS)
+                sender.set_timeout(LOST_TIMEOUT_NS)
                 sender.handle_peer(heard=False)
                 receiver.handle_signal_lost(event.now_ns)
             elif isinstance(event, SignalAcquired):
@@ -275,17 +277,17 @@ class Gateway:
                     self._forget_received(event.now_ns)
             elif isinstance(event, PeerDeaf):
                 sender.flush(event.now_ns)
-                sender.set_patience(LOST_PATIENCE_NS)
+                sender.set_timeout(LOST_TIMEOUT_NS)
             elif isinstance(event, PeerHears):
                 self._count_contact(event.now_ns)
-                sender.set_patience(None)
+                sender.set_timeout(None)
             elif isinstance(event, PeerDoubted):
                 receiver.leave()
             elif isinstance(event, PeerMet):
                 sender.forget_contexts()
                 receiver.forget_contexts()
                 if self.clock is not None:
-                    self.clock.handle_peer(event.life, event.now_ns)
+                    self.clock.handle_peer(event.boot_id, event.now_ns)
             elif isinstance(event, ApplicationReset):
                 sender.flush(event.now_ns)
                 sender.forget_contexts()
@@ -311,9 +313,9 @@ class Gateway:
         self.receiver.forget_contexts()
         self.supervisor.handle_contexts(self.receiver.context_ids(), now_ns)
 
-    def report(self, now_ns: int) -> GatewayFigures:
+    def report(self, now_ns: int) -> GatewayMetrics:
         """Return the counts of this end until `now_ns`."""
-        return GatewayFigures(
+        return GatewayMetrics(
             transmit=self.sender.report(now_ns),
             receive=self.receiver.report(),
             radio=self.radio.report(),

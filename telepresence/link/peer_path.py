@@ -13,14 +13,14 @@ A shell that owns the socket does this:
 Without protection frames themselves are followed. An end that was given its peer's address takes
 frames from there only. An end that waits to be called follows the source of good frames, and
 another one only when the present peer has been silent for `SILENCE_NS`. All other datagrams are a
-stranger's.
+unknown sender's.
 """
 
 from collections import deque
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from telepresence.link.figures import Address, PeerFigures, PeerHistory, address_text
 from telepresence.link.frame import FrameCodec
+from telepresence.link.link_metrics import Address, PeerHistory, PeerMetrics, address_text
 from telepresence.link.profile import LinkProfile
 from telepresence.link.protection.channel import (
     REKEY_NS,
@@ -127,27 +127,27 @@ class ProtectedPath:
         keep_alive, self._keep_alive = self._keep_alive, None
         return keep_alive or self._channel.poll_transmit()
 
-    def report(self, now_ns: int) -> PeerFigures:
+    def report(self, now_ns: int) -> PeerMetrics:
         """What this end knows of the path until `now_ns`."""
         self._take_events(now_ns)
-        figures = self._channel.figures
-        dropped = dict(figures.dropped)
+        metrics = self._channel.metrics
+        dropped = dict(metrics.dropped)
         if self._overflows:
             dropped["throttled"] = dropped.get("throttled", 0) + self._overflows
         where = self._channel.peer_address
-        return PeerFigures(
+        return PeerMetrics(
             begun_ns=self._history.begun_ns,
             protected=True,
             identity=self._identity,
             address=None if where is None else address_text(where),
             session_ns=self._session_ns,
-            sessions=figures.sessions,
-            failed_attempts=figures.failed_attempts,
+            sessions=metrics.sessions,
+            failed_attempts=metrics.failed_attempts,
             address_changes=self._moves,
-            sent=figures.sealed,
-            unsent=figures.unsent,
-            taken=figures.opened,
-            handshake_datagrams=figures.handshake_datagrams,
+            sent=metrics.sealed,
+            unsent=metrics.unsent,
+            taken=metrics.opened,
+            handshake_datagrams=metrics.handshake_datagrams,
             dropped=dropped,
             events=self._history.events(),
         )
@@ -187,12 +187,12 @@ class OpenPath:
         self._history = PeerHistory(now_ns)
         self._history.add("the path is NOT PROTECTED", now_ns)
         self._session_ns: int | None = None if address is None else 0
-        self._moves = self._sent = self._unsent = self._taken = self._strangers = 0
+        self._moves = self._sent = self._unsent = self._taken = self._unknown_senders = 0
 
     def handle_datagram(self, datagram: bytes, source: Address, now_ns: int) -> bytes | None:
-        """Return the peer's frame, good or not; None for a stranger's datagram."""
+        """Return the peer's frame, good or not; None for an unknown sender's datagram."""
         if source != self._address and not self._follow(datagram, source, now_ns):
-            self._strangers += 1
+            self._unknown_senders += 1
             return None
         # The radio may have hit some of its bits, so the peer is not silent.
         if len(datagram) == self._octets:
@@ -216,9 +216,9 @@ class OpenPath:
         """There are no datagrams but those of frames."""
         return None
 
-    def report(self, now_ns: int) -> PeerFigures:
+    def report(self, now_ns: int) -> PeerMetrics:
         """What this end knows of the path until `now_ns`."""
-        return PeerFigures(
+        return PeerMetrics(
             begun_ns=self._history.begun_ns,
             protected=False,
             address=None if self._address is None else address_text(self._address),
@@ -227,7 +227,7 @@ class OpenPath:
             sent=self._sent,
             unsent=self._unsent,
             taken=self._taken,
-            dropped={"stranger": self._strangers} if self._strangers else {},
+            dropped={"unknown sender": self._unknown_senders} if self._unknown_senders else {},
             events=self._history.events(),
         )
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from telepresence.link.bucket import TokenBucket
-from telepresence.link.figures import QueueFigures
 from telepresence.link.flows import Level
+from telepresence.link.link_metrics import QueueMetrics
 
 #: A shorter packet counts as this many octets, because it also costs memory, a tag and work.
 LEAST_CHARGE_OCTETS = 8
@@ -132,7 +132,7 @@ class PacketQueue:
         #: Packets that waited for the bucket.
         self.delayed = 0
         self.drops = {"full": 0, "expired": 0, "signal_lost": 0}
-        #: The limit in force: the queue's own, or the patience while the peer is not heard.
+        #: The limit in force: the queue's own, or the timeout while the peer is not heard.
         self._age_ns = limits.max_age_ns
         self._too_old = "expired"
         #: When the packet of which a part was sent had been queued; None without one.
@@ -288,7 +288,7 @@ class PacketQueue:
         taken_ns = (now_ns - self._began_ns) // self._begun_octets
         self._pace_ns = max(taken_ns, self._pace_ns - self._pace_ns // _PACE_PART)
 
-    def set_patience(self, max_age_ns: int | None) -> None:
+    def set_timeout(self, max_age_ns: int | None) -> None:
         """Limit the age to `max_age_ns`, if it is stricter; None removes the limit."""
         if max_age_ns is None or max_age_ns >= self.limits.max_age_ns:
             self._age_ns, self._too_old = self.limits.max_age_ns, "expired"
@@ -312,11 +312,11 @@ class PacketQueue:
             oldest.append(self._begun_ns)
         return now_ns - min(oldest, default=now_ns)
 
-    def report(self, now_ns: int) -> QueueFigures:
+    def report(self, now_ns: int) -> QueueMetrics:
         """Return depth, age and drops: present values and maxima."""
         self._drop_too_old(now_ns, MOST_EXPIRED)
         oldest_ns = self._oldest_age_ns(now_ns)
-        return QueueFigures(
+        return QueueMetrics(
             policy=self.limits.policy.value,
             depth_octets=self.limits.depth_octets,
             depth_packets=self.limits.depth_packets,

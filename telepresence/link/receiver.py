@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.figures import ReceiverFigures
 from telepresence.link.flows import (
     Flow,
     HapticReceived,
@@ -15,6 +14,7 @@ from telepresence.link.flows import (
     check_flows,
 )
 from telepresence.link.frame import COUNT_MASK, COUNT_MODULUS, FrameCodec, Pointers
+from telepresence.link.link_metrics import ReceiverMetrics
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.reassembly import PacketReassembly
 
@@ -30,19 +30,19 @@ _BEHIND_NS = NS_PER_S
 _BEHIND_SHIFT = 2
 #: After this long without a frame the count alone says too little: the window above is too wide.
 _LONGEST_SILENCE_NS = 60 * NS_PER_S
-#: A stream without a frame for this long is over; then another can be the stranger.
-_STRANGER_SILENCE_NS = 50 * NS_PER_MS
+#: A stream without a frame for this long is over; then another can be the unknown sender.
+_UNKNOWN_SENDER_SILENCE_NS = 50 * NS_PER_MS
 #: The expected arrival leaks by this share of a slot, so that it follows a growing delay.
 _LEAK_SHIFT = 7
 
 _new_event = tuple.__new__
 
 
-class StrangerFrame(NamedTuple):
+class UnknownFrame(NamedTuple):
     """A good frame of a stream that the receiver does not follow.
 
     message: its supervision message, or None.
-    frames, lasts_ns: of the stranger's stream so far, without a break; 0 if the frame is not of it.
+    frames, lasts_ns: of the unknown sender's stream so far, without a break; 0 if the frame is not of it.
     """
 
     message: bytes | None
@@ -63,19 +63,19 @@ class LinkReceiver:
     Invalid data is counted by reason and dropped.
 
     It follows one stream of frames. A frame belongs to it if its count is ahead of the last one and
-    fits the time that has passed. All other frames are dropped; `stranger` shows the latest, and
-    `follow_stranger` changes to its stream.
+    fits the time that has passed. All other frames are dropped; `unknown` shows the latest, and
+    `follow_unknown_sender` changes to its stream.
 
     profile, flows: the direction and its flow table, as at the other end.
-    cautious: the first frame begins no stream; only `follow_stranger` does.
-    stranger: the last frame handled, if it is good but not of the stream; else None.
+    cautious: the first frame begins no stream; only `follow_unknown_sender` does.
+    unknown: the last frame handled, if it is good but not of the stream; else None.
     """
 
     def __init__(self, profile: LinkProfile, flows: Sequence[Flow]) -> None:
         self.profile = profile
         self.flows = check_flows(flows)
         self.cautious = False
-        self.stranger: StrangerFrame | None = None
+        self.unknown: UnknownFrame | None = None
         self._parse = FrameCodec(profile).parse
         self._pointers = Pointers(profile)
         #: The events of `next_event`, oldest first.
@@ -92,13 +92,13 @@ class LinkReceiver:
         self._last_ns = 0
         self._slot_ns = profile.slot_ns
         self._step_ns = profile.slot_ns + (profile.slot_ns >> _LEAK_SHIFT)
-        #: Handles a stranger's stream, so that its contexts are known if it is followed.
+        #: Handles an unknown sender's stream, so that its contexts are known if it is followed.
         self._other: LinkReceiver | None = None
-        #: The one to follow if asked to: it has handled the stranger's last frame.
+        #: The one to follow if asked to: it has handled the unknown sender's last frame.
         self._candidate: LinkReceiver | None = None
-        #: It handles a stranger's stream, and no strangers beside that.
+        #: It handles an unknown sender's stream, and no unknown senders beside that.
         self._strange = False
-        #: Of a stranger's stream: how its frames were counted as dropped, until it is followed.
+        #: Of an unknown sender's stream: how its frames were counted as dropped, until it is followed.
         self._dropped_as: dict[str, int] = {}
         self._begun_ns = 0
         self.frames_received = 0
@@ -127,13 +127,13 @@ class LinkReceiver:
             _add(self.frames_dropped, parsed, 1)
             return False
         count24, sample, pointer, zone = parsed
-        self.stranger = None
+        self.unknown = None
         due_ns = self._due_ns
         if count24 == self._next24:
             self._count += 1
         elif (skipped := self._find_skipped(count24, now_ns)) is None:
             if not self._strange:
-                self._handle_stranger(frame, count24, now_ns)
+                self._handle_unknown_sender(frame, count24, now_ns)
             return False
         else:
             self.frames_lost += skipped
@@ -163,17 +163,17 @@ class LinkReceiver:
         return self.packets.context_ids
 
     def forget_contexts(self) -> None:
-        """Forget all contexts: the peer began a new life, which reuses their numbers."""
+        """Forget all contexts: the peer began a new start, which reuses their numbers."""
         self.packets.forget_contexts()
 
     def next_event(self) -> LinkEvent | None:
         """The next event in the order of reception, or None. Call until None."""
         return self.events.popleft() if self.events else None
 
-    def follow_stranger(self, *, new_life: bool) -> bool:
-        """Follow the stream of `stranger`, and take what its frame carries; return whether it can.
+    def follow_unknown_sender(self, *, new_boot_id: bool) -> bool:
+        """Follow the stream of `unknown`, and take what its frame carries; return whether it can.
 
-        new_life: another life of the peer sends it, with contexts of its own. A stream of the same
+        new_boot_id: another start of the peer sends it, with contexts of its own. A stream of the same
         life that is behind the one before would bring frames again, so it is a late copy.
         """
         other = self._candidate
@@ -181,16 +181,16 @@ class LinkReceiver:
             return False
         ahead = other._count - self._count & COUNT_MASK
         behind = ahead == 0 or ahead >= COUNT_MODULUS >> 1
-        if behind and not new_life and other._last_ns - self._last_ns <= _LONGEST_SILENCE_NS:
+        if behind and not new_boot_id and other._last_ns - self._last_ns <= _LONGEST_SILENCE_NS:
             return False
-        self._other = self._candidate = self.stranger = None
+        self._other = self._candidate = self.unknown = None
         for reason, frames in other._dropped_as.items():
             _add(self.frames_dropped, reason, -frames)
         if self._next24 < 0:
             for event in other.events:
                 self._count_unapproved(event, -1)
         self.packets.drop_incomplete()
-        if new_life:
+        if new_boot_id:
             self.restarts += self._begun
             self._count = other._count
             self.frames_lost += other.frames_lost
@@ -199,7 +199,7 @@ class LinkReceiver:
             # After hours the count may have gone through half its range.
             self._count += ahead or COUNT_MODULUS
         self._begun = True
-        self.packets.go_on_from(other.packets, contexts=new_life)
+        self.packets.go_on_from(other.packets, contexts=new_boot_id)
         self._next24, self._due_ns = other._next24, other._due_ns
         self._last_ns = other._last_ns
         # The peer's first frames were good ones, though what they carried was dropped.
@@ -218,7 +218,7 @@ class LinkReceiver:
         return True
 
     def leave(self) -> None:
-        """Follow no stream until `follow_stranger`."""
+        """Follow no stream until `follow_unknown_sender`."""
         self.packets.drop_incomplete()
         self._next24 = -1
 
@@ -243,12 +243,12 @@ class LinkReceiver:
         )
         return skipped if fits else None
 
-    def _handle_stranger(self, frame: bytes, count24: int, now_ns: int) -> None:
+    def _handle_unknown_sender(self, frame: bytes, count24: int, now_ns: int) -> None:
         """Drop a frame that is not of the stream, and note it if it may be of another one."""
         late = 0 < self._next24 - count24 & COUNT_MASK <= _LATE_FRAMES
         reason = "late" if late and self._next24 >= 0 else "stray"
         other = self._other
-        if other is None or now_ns - other._last_ns >= _STRANGER_SILENCE_NS:
+        if other is None or now_ns - other._last_ns >= _UNKNOWN_SENDER_SILENCE_NS:
             other = self._other = self._begin_other()
         other.events.clear()
         message = self._message(frame)
@@ -267,7 +267,7 @@ class LinkReceiver:
             if self._next24 < 0:
                 for event in other.events:
                     self._count_unapproved(event, 1)
-        self.stranger = StrangerFrame(message, frames, lasts_ns)
+        self.unknown = UnknownFrame(message, frames, lasts_ns)
 
     def _begin_other(self) -> "LinkReceiver":
         other = LinkReceiver(self.profile, self.flows)
@@ -286,10 +286,10 @@ class LinkReceiver:
         elif isinstance(event, PacketReceived):
             _add(self.packets.dropped, "unapproved", events)
 
-    def report(self) -> ReceiverFigures:
+    def report(self) -> ReceiverMetrics:
         """Return frames, samples and packets: received, lost, and dropped by reason."""
         packets = self.packets
-        return ReceiverFigures(
+        return ReceiverMetrics(
             frames_received=self.frames_received,
             frames_lost=self.frames_lost,
             frames_dropped=dict(self.frames_dropped),

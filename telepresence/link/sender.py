@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.link.compression.header_compression import RtpCompressor
 from telepresence.link.compression.rtp_forms import KIND_RAW
-from telepresence.link.figures import SenderFigures
 from telepresence.link.flows import Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
@@ -20,6 +19,7 @@ from telepresence.link.frame import (
     FrameCodec,
     Pointers,
 )
+from telepresence.link.link_metrics import SenderMetrics
 from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
 from telepresence.tmtc.pus.head import is_packet
@@ -157,10 +157,10 @@ class LinkSender:
             self._waiting[level] = None
             queue.flush(now_ns)
 
-    def set_patience(self, max_age_ns: int | None) -> None:
+    def set_timeout(self, max_age_ns: int | None) -> None:
         """Limit the age of all packets; older ones are dropped as `signal_lost`."""
         for queue in self._queues:
-            queue.set_patience(max_age_ns)
+            queue.set_timeout(max_age_ns)
 
     def handle_acknowledgements(self, ids: Sequence[int]) -> None:
         """Take the context ids that the peer holds, in the order of the table's RTP flows."""
@@ -173,7 +173,7 @@ class LinkSender:
             compressor.handle_peer(heard=heard)
 
     def forget_contexts(self) -> None:
-        """The peer began a new life and holds no context."""
+        """The peer began a new start and holds no context."""
         for compressor in self._rtp:
             compressor.forget()
 
@@ -343,9 +343,9 @@ class LinkSender:
             "idle": self._idle,
         }
 
-    def report(self, now_ns: int) -> SenderFigures:
+    def report(self, now_ns: int) -> SenderMetrics:
         """Return rates, the octets by what they carried, and each level's queue."""
-        return SenderFigures(
+        return SenderMetrics(
             capacity_bps=self.profile.capacity_bps,
             frames=self.frames_sent,
             octets=self.octets(),

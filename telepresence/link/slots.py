@@ -9,7 +9,7 @@ A shell that binds sockets, or the simulation, repeats these steps:
 3. At `deadline_ns`: pass the samples in the haptic port to `handle_slot`.
 4. Send `Gateway.poll_transmit` by radio until it is None.
 5. Send `poll_backlog` to the sender of video.
-6. Collect figures when `poll_figures` says so.
+6. Collect figures when `poll_metrics` says so.
 """
 
 from collections.abc import Iterable
@@ -22,9 +22,9 @@ from telepresence.link.gateway import Backlog, BacklogReporter, Gateway
 #: Datagrams taken from a port in one slot; the rest stays there for the next slot.
 MOST_DATAGRAMS = 64
 #: Interval of the figures.
-FIGURES_NS = 100 * NS_PER_MS
+METRICS_NS = 100 * NS_PER_MS
 #: Longest time that figures take; this much of a slot must remain.
-FIGURES_COST_NS = NS_PER_MS // 2
+METRICS_COST_NS = NS_PER_MS // 2
 
 #: Steps of the margin, and its bound. One wake-up in four is later than the margin.
 _SHRINK_NS = 100
@@ -56,7 +56,7 @@ class GatewaySlots:
     """The slots of `gateway`, the first of them at `first_ns`; see the module for the run loop.
 
     deadline_ns: when the next slot begins. wake_ns: when to wake up for it.
-    figures_ns: before this instant `poll_figures` is False.
+    metrics_ns: before this instant `poll_metrics` is False.
     schedule: counts slots and slips.
     """
 
@@ -72,7 +72,7 @@ class GatewaySlots:
         self.margin = WakeMargin()
         self._reporter = BacklogReporter(gateway)
         self._slot_ns = slot_ns
-        self.figures_ns = 0
+        self.metrics_ns = 0
         self.deadline_ns = self.wake_ns = first_ns
 
     def poll_timeout(self) -> int:
@@ -117,19 +117,19 @@ class GatewaySlots:
         # Use the slot's own instant, so that a slightly late slot delays no report.
         return self._reporter.poll_transmit(self.deadline_ns - self._slot_ns)
 
-    def poll_figures(self, now_ns: int, *, heard: bool) -> bool:
+    def poll_metrics(self, now_ns: int, *, heard: bool) -> bool:
         """Whether to collect figures now.
 
         heard: a frame has just arrived by radio, so the next is most of a slot away. Without frames
         the figures wait one more interval, and are then collected right after a slot.
         """
         if heard:
-            due_ns = self.figures_ns
-            if self.deadline_ns - now_ns <= FIGURES_COST_NS:
+            due_ns = self.metrics_ns
+            if self.deadline_ns - now_ns <= METRICS_COST_NS:
                 return False
         else:
-            due_ns = self.figures_ns + FIGURES_NS
+            due_ns = self.metrics_ns + METRICS_NS
         if now_ns < due_ns:
             return False
-        self.figures_ns = now_ns + FIGURES_NS
+        self.metrics_ns = now_ns + METRICS_NS
         return True

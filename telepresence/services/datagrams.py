@@ -37,10 +37,10 @@ class ResetReason(IntEnum):
 
 
 class OpenService(NamedTuple):
-    """Open a stream. token: the opener's number for it. life: the opener's. name: the service's."""
+    """Open a stream. token: the opener's number for it. boot_id: the opener's. name: the service's."""
 
     token: int
-    life: int
+    boot_id: int
     name: str
 
 
@@ -88,7 +88,7 @@ def is_service_name(name: str) -> bool:
 def pack_service(datagram: ServiceDatagram) -> bytes:
     """Return the octets of a datagram."""
     if isinstance(datagram, OpenService):
-        return _OPENING.pack(_OPEN, datagram.token, datagram.life) + datagram.name.encode()
+        return _OPENING.pack(_OPEN, datagram.token, datagram.boot_id) + datagram.name.encode()
     if isinstance(datagram, ResetStream):
         return _RESETTING.pack(_RESET, *datagram)
     token, answer, offset, ack, window, gap, data, last, ask = datagram
@@ -102,11 +102,11 @@ def parse_service(octets: bytes) -> ServiceDatagram:
     kind = octets[0] if octets else 0
     try:
         if kind == _OPEN:
-            _, token, life = _OPENING.unpack_from(octets)
+            _, token, boot_id = _OPENING.unpack_from(octets)
             name = octets[_OPENING.size :].decode("ascii")
             if not is_service_name(name):
                 raise ProtocolError("no name of a service")
-            return OpenService(token, life, name)
+            return OpenService(token, boot_id, name)
         if kind == _RESET:
             _, token, answer, reason = _RESETTING.unpack(octets)
             return ResetStream(token, answer, ResetReason(reason))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from telepresence.services.datagrams import (
     PART_OCTETS,
     OpenService,
@@ -25,7 +25,7 @@ _MOST_DOUBLINGS = 3
 #: An acknowledgement waits this long for data to travel with.
 _ACK_NS = 40 * NS_PER_MS
 #: After this silence the other end is asked for an answer: for room, or for a sign of life.
-_ASK_ROOM_NS, _ASK_LIFE_NS = 5 * NS_PER_S, 60 * NS_PER_S
+_ASK_ROOM_NS, _ASK_LIFETIME_NS = 5 * NS_PER_S, 60 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +61,7 @@ class ServiceStream:
     def __init__(
         self, opening: OpenService, *, mine: bool, answer: int, pace: StreamPace, now_ns: int
     ) -> None:
-        self.token, self.life, _ = opening
+        self.token, self.boot_id, _ = opening
         self.mine, self.answer = mine, answer
         self.ready = bytearray()
         self.sent_octets = self.resent_octets = self.received_octets = 0
@@ -139,13 +139,13 @@ class ServiceStream:
     def handle_part(self, part: StreamPart, now_ns: int) -> None:
         """A part of the other end; ProtocolError if it cannot be one of this stream."""
         received = self._taken + len(self.ready)
-        offset = received + signed(part.offset - received)
+        offset = received + serial_difference(part.offset - received)
         fresh = part.data or part.last
         end = offset + len(part.data)
         most = received if self._last_came else self._taken + WINDOW_OCTETS
         if fresh and not 0 <= offset <= end <= most:
             raise ProtocolError("beyond the window or the end")
-        ack = self._acked + signed(part.ack - self._acked)
+        ack = self._acked + serial_difference(part.ack - self._acked)
         self._acknowledged(ack, part.window, part.gap, now_ns)
         self.answer = part.answer
         self._asked_ns = now_ns
@@ -209,10 +209,10 @@ class ServiceStream:
     @property
     def _ask_ns(self) -> int:
         if self._flights:
-            return self._asked_ns + _ASK_LIFE_NS
+            return self._asked_ns + _ASK_LIFETIME_NS
         blocked = self._sent < self._data_end and not self._more
         soon = blocked or self._waiting_ns is not None
-        return self._asked_ns + (_ASK_ROOM_NS if soon else _ASK_LIFE_NS)
+        return self._asked_ns + (_ASK_ROOM_NS if soon else _ASK_LIFETIME_NS)
 
     def _await(self, now_ns: int) -> None:
         if self._waiting_ns is None:

@@ -26,7 +26,7 @@ from telepresence.services.stream import ServiceStream, StreamPace
 
 
 @dataclass(slots=True, kw_only=True)
-class ServiceFigures:
+class ServiceMetrics:
     """TCP services to and from the other end."""
 
     #: Streams opened, by both ends.
@@ -91,7 +91,7 @@ class ServiceStreams:
     None. Do both again at `poll_timeout`. A stream is known by its token.
 
     allowed: names of the services that the other end may open. rate_bps: the most that is sent.
-    seed: random, of this life alone. delay_ns: the longest delay of the radio, one way.
+    seed: random, of this start alone. delay_ns: the longest delay of the radio, one way.
     """
 
     def __init__(
@@ -109,16 +109,16 @@ class ServiceStreams:
         room_octets = rate_bps * _ROOM_NS // (8 * NS_PER_S)
         self._room_octets = max(_ROOM_OCTETS, room_octets)
         self._bucket = TokenBucket(rate_bps, max(2 * MOST_OCTETS, room_octets))
-        self._life = self._new_number()
-        self._peer_life = 0
+        self._boot_id = self._new_number()
+        self._peer_boot_id = 0
         #: Lives of the other end that are over.
-        self._old_lives: deque[int] = deque(maxlen=_REMEMBERED)
+        self._old_boots: deque[int] = deque(maxlen=_REMEMBERED)
         self._streams: OrderedDict[int, ServiceStream] = OrderedDict()
         #: Streams that are over, with the answer to datagrams that still come for them.
         self._over: OrderedDict[int, ServiceDatagram] = OrderedDict()
         self._answers: deque[ServiceDatagram] = deque()
         self._events: deque[StreamEvent] = deque()
-        self.counts = ServiceFigures()
+        self.counts = ServiceMetrics()
         self._heard, self._room = False, True
         #: The time in contact at the last change, and when that was.
         self._contact_ns, self._changed_ns = 0, now_ns
@@ -138,7 +138,7 @@ class ServiceStreams:
         if not self._heard or self._count(mine=True) >= MOST_STREAMS:
             self.counts.service_streams_refused += 1
             return None
-        opening = OpenService(self._new_number(), self._life, service)
+        opening = OpenService(self._new_number(), self._boot_id, service)
         self._add(opening, mine=True, answer=0, now_ns=now_ns)
         return opening.token
 
@@ -225,7 +225,7 @@ class ServiceStreams:
             due.append(max(now_ns + send_ns - at_ns, free_ns))
         return max(now_ns, min(due)) if due else None
 
-    def report(self) -> ServiceFigures:
+    def report(self) -> ServiceMetrics:
         """What was counted so far."""
         counts = replace(self.counts)
         for stream in self._streams.values():
@@ -251,7 +251,7 @@ class ServiceStreams:
 
     def _opened(self, opening: OpenService, now_ns: int) -> None:
         """The other end opens a stream, perhaps again."""
-        token, life = opening.token, opening.life
+        token, boot_id = opening.token, opening.boot_id
         stream = self._streams.get(token)
         if stream is not None:
             if stream.mine:
@@ -265,14 +265,14 @@ class ServiceStreams:
         # Without a signal it would be closed at once; it will be asked again.
         if not self._heard:
             return
-        if life in self._old_lives:
+        if boot_id in self._old_boots:
             self._answer(ResetStream(token, 0, ResetReason.RESTARTED))
             return
-        if life != self._peer_life:
+        if boot_id != self._peer_boot_id:
             for one in [one for one in self._streams.values() if not one.mine]:
                 self._reset(one, ResetReason.RESTARTED)
-            self._old_lives.append(self._peer_life)
-            self._peer_life = life
+            self._old_boots.append(self._peer_boot_id)
+            self._peer_boot_id = boot_id
         if opening.name not in self._allowed or self._count(mine=False) >= MOST_STREAMS:
             self.counts.service_streams_refused += 1
             self._answer(ResetStream(token, 0, ResetReason.REFUSED))
@@ -300,9 +300,9 @@ class ServiceStreams:
             return
         # Either end may not know the other one's number yet.
         if not (stream.answer and reset.answer) or stream.answer == reset.answer:
-            if reset.reason == ResetReason.RESTARTED and stream.life == self._life:
-                # An overtaken opening made the other end take this life for an older one.
-                self._life = self._new_number()
+            if reset.reason == ResetReason.RESTARTED and stream.boot_id == self._boot_id:
+                # An overtaken opening made the other end take this start for an older one.
+                self._boot_id = self._new_number()
             self._close(stream, reset.reason)
 
     def _follow(self, stream: ServiceStream) -> None:
@@ -359,7 +359,7 @@ class ServiceStreams:
         return None
 
 
-def _add_octets(counts: ServiceFigures, stream: ServiceStream) -> None:
+def _add_octets(counts: ServiceMetrics, stream: ServiceStream) -> None:
     counts.service_octets_sent += stream.sent_octets
     counts.service_octets_resent += stream.resent_octets
     counts.service_octets_received += stream.received_octets

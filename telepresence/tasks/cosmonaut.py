@@ -15,7 +15,7 @@ from telepresence.haptics.hand import SOFT_GRIP, Hand, HandModel, Waypoint
 from telepresence.tasks.definitions import Curve, Pattern
 from telepresence.tasks.panel import PanelView
 from telepresence.tasks.panel_picture import DARK, PanelPicture
-from telepresence.tasks.places import curve_points
+from telepresence.tasks.positions import curve_points
 from telepresence.tmtc.k2aci import PanelMode
 
 #: Between two looks at panel and picture.
@@ -177,16 +177,16 @@ class Cosmonaut(Hand):
             self._pull(tip_m)
         elif picture.pattern is Pattern.FREE and self._now_ns - self._aimed_ns > NS_PER_S:
             self._aimed_ns = self._now_ns
-            place = self._random.uniform(-0.08, 0.03), self._random.uniform(-0.05, 0.05)
-            self._go(place, speed_m_s=self.skill.speed_m_s)
+            position = self._random.uniform(-0.08, 0.03), self._random.uniform(-0.05, 0.05)
+            self._go(position, speed_m_s=self.skill.speed_m_s)
 
     def aim(
-        self, place: tuple[float, float], *, within_m: float, seen_m: tuple[float, float]
+        self, position: tuple[float, float], *, within_m: float, seen_m: tuple[float, float]
     ) -> None:
         """Move to a place; after each movement look whether it is reached, and correct it."""
         if self._now_ns < self._begun_ns + self._lasts_ns + self.skill.reaction_ns:
             return
-        miss_x, miss_y = place[0] - seen_m[0], place[1] - seen_m[1]
+        miss_x, miss_y = position[0] - seen_m[0], position[1] - seen_m[1]
         if hypot(miss_x, miss_y) <= within_m:
             return
         # A short movement misses by less.
@@ -228,19 +228,19 @@ class Cosmonaut(Hand):
         y_m = self.y_m - 0.2 * tip_m[1]
         self._go((self.x_m - step_m, y_m), speed_m_s=self.skill.speed_m_s)
 
-    def _in_hand(self, place: tuple[float, float]) -> tuple[float, float]:
+    def _in_hand(self, position: tuple[float, float]) -> tuple[float, float]:
         """Where the handle is to be for the tip to be at a place."""
-        return place[0] - self._apart[0], place[1] - self._apart[1]
+        return position[0] - self._apart[0], position[1] - self._apart[1]
 
-    def _go(self, place: tuple[float, float], *, speed_m_s: float) -> None:
+    def _go(self, position: tuple[float, float], *, speed_m_s: float) -> None:
         self._track_m_s = 0.0
-        self._begin, self._end = (self.x_m, self.y_m), place
-        way_m = dist(self._begin, place)
+        self._begin, self._end = (self.x_m, self.y_m), position
+        way_m = dist(self._begin, position)
         self._begun_ns = self._now_ns
         # A minimum-jerk movement is no shorter than a twitch.
         self._lasts_ns = max(80 * NS_PER_MS, round(way_m / speed_m_s * NS_PER_S))
 
-    def track(self, place: tuple[float, float], *, speed_m_s: float) -> None:
+    def track(self, position: tuple[float, float], *, speed_m_s: float) -> None:
         """Follow what moves, at up to this speed; the hand is never quite where it wants to be."""
         wander, aim_m = self._wander, self.skill.aim_m
         # Its standard deviation settles at `aim_m`.
@@ -248,7 +248,7 @@ class Cosmonaut(Hand):
             0.95 * wander[0] + self._random.gauss(0.0, 0.31 * aim_m),
             0.95 * wander[1] + self._random.gauss(0.0, 0.31 * aim_m),
         )
-        self._end = place[0] + self._wander[0], place[1] + self._wander[1]
+        self._end = position[0] + self._wander[0], position[1] + self._wander[1]
         self._track_m_s = speed_m_s
 
     def _advance(self, dt_ns: int) -> None:

@@ -109,15 +109,15 @@ class Experiment:
     Call `handle_view` at `poll_timeout`. After each input carry out `poll_transmit`'s orders, send
     `poll_message`'s messages and drain `next_event`.
 
-    first_run: the number of the first run. patience_ns: a cosmonaut who has not begun after this
+    first_run: the number of the first run. timeout_ns: a cosmonaut who has not begun after this
     time will not.
     """
 
     def __init__(
-        self, catalogue: Catalogue, *, first_run: int = 1, patience_ns: int = 180 * NS_PER_S
+        self, catalogue: Catalogue, *, first_run: int = 1, timeout_ns: int = 180 * NS_PER_S
     ) -> None:
         self._catalogue = catalogue
-        self._patience_ns = patience_ns
+        self._timeout_ns = timeout_ns
         #: It knows the present Elemop.
         self.kernel = TopKernel()
         self._next_run = first_run
@@ -189,7 +189,7 @@ class Experiment:
             elif message.mode is PanelMode.WAIT_TASK and task is not None:
                 # The panel was restarted, or has not got this task yet.
                 if self._phase is Phase.OFFERED:
-                    self._tell(task)
+                    self._publish(task)
                 elif self._phase is Phase.RUNNING:
                     self._end(TaskResult.ABORTED, "the panel was restarted", now_ns)
         elif isinstance(message, StartTask) and task is not None:
@@ -203,13 +203,13 @@ class Experiment:
             # While the cosmonaut has not started, the kernel executes nothing.
             if view.obstacle is not None:
                 self._end(*view.obstacle, now_ns)
-            elif now_ns - self._since_ns > self._patience_ns:
+            elif now_ns - self._since_ns > self._timeout_ns:
                 self._end(TaskResult.TIMED_OUT, "the cosmonaut did not start", now_ns)
         elif self._phase is Phase.RUNNING and view.telepresent:
             self._log(RunStep.TELEPRESENCE, now_ns)
         self.kernel.handle_view(view, now_ns)
         self._drain(now_ns)
-        self._tell_progress(now_ns)
+        self._publish_progress(now_ns)
 
     def poll_timeout(self) -> int | None:
         """When to call `handle_view` next; None: whenever it suits."""
@@ -234,7 +234,7 @@ class Experiment:
         self.kernel.start(self._task.exec, now_ns)
         self._drain(now_ns)
 
-    def _tell(self, task: Task) -> None:
+    def _publish(self, task: Task) -> None:
         start_um = round(task.start_x_mm * 1000), round(task.start_y_mm * 1000)
         self._messages.append(
             TaskSelected(task=task.name, run=self._run, start_um=start_um, text=task.text)
@@ -242,9 +242,9 @@ class Experiment:
         # A panel that was restarted knows nothing of it.
         self._progress = None
 
-    def _tell_progress(self, now_ns: int) -> None:
+    def _publish_progress(self, now_ns: int) -> None:
         if self._phase is Phase.OFFERED:
-            left_ms = (self._since_ns + self._patience_ns - now_ns) // NS_PER_MS
+            left_ms = (self._since_ns + self._timeout_ns - now_ns) // NS_PER_MS
             told: TaskProgress | None = TaskProgress(
                 run=self._run, goal=TaskGoal.START, left_ms=max(0, left_ms)
             )
@@ -284,7 +284,7 @@ class Experiment:
                 assert self._task is not None
                 self._log(RunStep.PREPARED, now_ns)
                 self._phase, self._since_ns, self._told = Phase.OFFERED, now_ns, self._task
-                self._tell(self._task)
+                self._publish(self._task)
                 self._log(RunStep.TOLD, now_ns)
             else:
                 self._finish(TaskResult.FINISHED, "", now_ns)

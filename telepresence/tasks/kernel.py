@@ -43,7 +43,7 @@ from telepresence.tasks.definitions import (
     Wait,
 )
 from telepresence.tasks.panel_picture import PanelPicture
-from telepresence.tasks.places import curve_points, spot_at
+from telepresence.tasks.positions import curve_points, spot_at
 from telepresence.tmtc.k2aci import TaskGoal, TaskProgress, TaskResult
 
 #: Between two ticks the tip's way is checked at steps of this length (m).
@@ -248,7 +248,7 @@ class _ReachCheck(_HeldCheck):
         return hypot(view.x_m - x, view.y_m - y) <= self.elemop.within_mm / 1e3
 
     def told(self) -> TaskProgress:
-        return _told(TaskGoal.REACH, place_um=_um(LIGHTS_M[self.elemop.led]))
+        return _told(TaskGoal.REACH, position_um=_um(LIGHTS_M[self.elemop.led]))
 
 
 class _PullCheck(_HeldCheck):
@@ -348,8 +348,8 @@ def _told(goal: TaskGoal, **values: Any) -> TaskProgress:
     return TaskProgress(run=0, goal=goal, **values)
 
 
-def _um(place_m: tuple[float, float]) -> tuple[int, int]:
-    return round(place_m[0] * 1e6), round(place_m[1] * 1e6)
+def _um(position_m: tuple[float, float]) -> tuple[int, int]:
+    return round(position_m[0] * 1e6), round(position_m[1] * 1e6)
 
 
 #: Elemops that the cosmonaut carries out.

@@ -11,7 +11,7 @@ from math import hypot
 
 from kontur_av.clock import NS_PER_S
 from telepresence.tasks.definitions import SpotPath
-from telepresence.tasks.places import spot_at
+from telepresence.tasks.positions import spot_at
 from telepresence.tmtc.k2aci import (
     K2aciMessage,
     PanelMode,
@@ -131,7 +131,7 @@ class MissionPanel:
         if told.goal in _SPOTS:
             target_m = spot_at(_SPOTS[told.goal], since_s * 1e3 / told.turn_ms)
         elif told.goal is TaskGoal.REACH:
-            target_m = told.place_um[0] / 1e6, told.place_um[1] / 1e6
+            target_m = told.position_um[0] / 1e6, told.position_um[1] / 1e6
         hold_s = told.hold_ms / 1e3
         return replace(
             view,

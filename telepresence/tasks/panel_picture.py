@@ -122,7 +122,7 @@ class PanelSender:
     After `show` and at `poll_timeout`, send what `poll_transmit` returns until it is None.
 
     picture: the newest state. garbage: datagrams that are not an acknowledgement.
-    first_number: later lives of this end begin above it, for example with the time in 0.1 s.
+    first_number: later starts of this end begin above it, for example with the time in 0.1 s.
     """
 
     def __init__(self, *, first_number: int = 0) -> None:

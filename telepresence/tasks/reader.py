@@ -1,4 +1,4 @@
-"""Reads tasks from XML. A mistake is a ConfigError with its line, the element and the mend.
+"""Reads tasks from XML. A mistake is a ConfigError with its line, the element and the fix.
 
 `tasks.xsd` describes the same format for editors. What a schema cannot say is checked here, too:
 references, and that operations fit their place. There is no document type, so no entity can be
@@ -85,16 +85,16 @@ class _Reader:
             raise self._mistake(f"text {text.strip()[:20]!r}: all values are attributes")
 
     def handle_start(self, element: str, attributes: dict[str, str]) -> None:
-        place = self._open[-1] if self._open else ""
+        position = self._open[-1] if self._open else ""
         self._open.append(element)
-        if not place:
+        if not position:
             self._check_root(element, attributes)
-        elif place == _ROOT:
+        elif position == _ROOT:
             self._define(element, attributes)
-        elif place == _OPERATION and len(self._open) == 3:
+        elif position == _OPERATION and len(self._open) == 3:
             self._add_steps(element, attributes)
         else:
-            raise self._mistake(f"<{element}> cannot be inside of <{place}>")
+            raise self._mistake(f"<{element}> cannot be inside of <{position}>")
 
     def handle_end(self, element: str) -> None:
         if element == _OPERATION and len(self._open) == 2:

@@ -6,7 +6,7 @@ from math import hypot
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks.definitions import Curve, Elemop, Follow, Pull, Pursue, Reach
 from telepresence.tasks.panel_picture import PanelPicture
-from telepresence.tasks.places import curve_points, distance_m
+from telepresence.tasks.positions import curve_points, distance_m
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

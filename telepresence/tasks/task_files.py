@@ -47,7 +47,7 @@ class _File:
 
 
 def load_plan(path: Path) -> tuple[SessionPlan, Catalogue]:
-    """The plan in a file, and the tasks that it may use. ConfigError names file and mend.
+    """The plan in a file, and the tasks that it may use. ConfigError names file and fix.
 
     skill = 0.7             # of the simulated cosmonaut
     again = true            # begin anew after the last task

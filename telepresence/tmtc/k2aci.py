@@ -9,7 +9,7 @@ without floating point. Private PUS messages carry it (`telepresence.tmtc.pus`).
 | its acknowledgement | 0, life, number |
 
 Kinds: 1 `TaskSelected`, 2 `StartTask`, 3 `TaskFinished`, 4 `PanelState`, 5 `Chat`,
-6 `TaskProgress`. `life` grows with each start of the sender. `number` counts its messages from 0.
+6 `TaskProgress`. `boot_id` grows with each start of the sender. `number` counts its messages from 0.
 `oldest` is the smallest number that the sender still repeats: the receiver waits for no number
 below it.
 """
@@ -173,7 +173,7 @@ class Chat(_Checked):
 class TaskProgress(_Checked):
     """To the panel: what has to be done now, and how far it is. Sent at each change.
 
-    step, steps: this goal is one of so many. place_um: of what is to be reached, or of the hand
+    step, steps: this goal is one of so many. position_um: of what is to be reached, or of the hand
     that is to be met. percent: of a curve. force_mn: with which to pull. turn_ms: of the spot.
     hold_ms: how long the condition must hold; held_ms: how long it has, 0 while it does not.
     left_ms: until the run ends. Of what a goal does not have, 0.
@@ -183,7 +183,7 @@ class TaskProgress(_Checked):
     goal: TaskGoal
     step: int = 1
     steps: int = 1
-    place_um: tuple[int, int] = (0, 0)
+    position_um: tuple[int, int] = (0, 0)
     percent: int = 0
     force_mn: int = 0
     turn_ms: int = 0
@@ -204,9 +204,9 @@ CLASSES: tuple[type[K2aciMessage], ...] = get_args(K2aciMessage)
 
 @dataclass(frozen=True, slots=True)
 class Numbered(_Checked):
-    """A message as it is sent. life, number, oldest: as in the module's table."""
+    """A message as it is sent. boot_id, number, oldest: as in the module's table."""
 
-    life: int
+    boot_id: int
     number: int
     oldest: int
     message: K2aciMessage
@@ -219,20 +219,20 @@ class Numbered(_Checked):
 
 @dataclass(frozen=True, slots=True)
 class Acknowledgement(_Checked):
-    """The message `number` of `life` has been handed to the application."""
+    """The message `number` of `boot_id` has been handed to the application."""
 
-    life: int
+    boot_id: int
     number: int
 
 
 def pack_body(body: Numbered | Acknowledgement) -> bytes:
     """Return `body` as CBOR. The texts of all classes are so short that it fits in a packet."""
     if isinstance(body, Acknowledgement):
-        return cbor2.dumps([_ACK, body.life, body.number], canonical=True)
+        return cbor2.dumps([_ACK, body.boot_id, body.number], canonical=True)
     message = body.message
     values = [_plain(getattr(message, one.name)) for one in fields(message)]
     kind = CLASSES.index(type(message)) + 1
-    return cbor2.dumps([kind, body.life, body.number, body.oldest, *values], canonical=True)
+    return cbor2.dumps([kind, body.boot_id, body.number, body.oldest, *values], canonical=True)
 
 
 def parse_body(octets: bytes) -> Numbered | Acknowledgement:
@@ -319,9 +319,9 @@ def _check_count(name: str, value: object) -> None:
 
 
 class Arrived(NamedTuple):
-    """A message of the peer, once and in order. number: the peer's, in this `life` of it."""
+    """A message of the peer, once and in order. number: the peer's, in this `boot_id` of it."""
 
-    life: int
+    boot_id: int
     number: int
     message: K2aciMessage
 
@@ -345,26 +345,26 @@ class K2aciEndpoint:
     wait. Each repetition of a message waits twice as long as the one before, up to 8 `timeout_ns`.
     If the receiving process is killed, the last messages may arrive again under their numbers.
 
-    life: grows with each start of this process, for example the second of its start; 0 to 2^32 - 1.
+    boot_id: grows with each start of this process, for example the second of its start; 0 to 2^32 - 1.
     Raises ConfigError for a life out of range or a timeout that is not positive.
     """
 
-    def __init__(self, *, life: int, timeout_ns: int = 500 * NS_PER_MS) -> None:
-        _check_count("life", life)
+    def __init__(self, *, boot_id: int, timeout_ns: int = 500 * NS_PER_MS) -> None:
+        _check_count("life", boot_id)
         if timeout_ns <= 0:
             raise ConfigError("K2ACI needs a timeout above 0")
         self.arrived = 0
         self.duplicates = 0
         self.garbage = 0
-        #: Acknowledgements of what is not open, and messages of an earlier life or out of reach.
+        #: Acknowledgements of what is not open, and messages of an earlier start or out of reach.
         self.unexpected = 0
         self.dropped_answers = 0
-        self._life = life
+        self._boot_id = boot_id
         self._sending: Retransmission[K2aciMessage] = Retransmission(
             timeout_ns=timeout_ns, most=_MOST_WAITING, window=_MOST_OPEN
         )
         self._answers: deque[Acknowledgement] = deque()
-        self._peer_life = -1
+        self._peer_boot_id = -1
         self._expected = 0
         self._held: dict[int, K2aciMessage] = {}
         self._events: deque[Arrived | Delivered] = deque()
@@ -407,7 +407,7 @@ class K2aciEndpoint:
             self._handle_numbered(body)
 
     def _handle_acknowledgement(self, body: Acknowledgement, now_ns: int) -> None:
-        sending = self._sending.get(body.number) if body.life == self._life else None
+        sending = self._sending.get(body.number) if body.boot_id == self._boot_id else None
         if sending is None:
             self.unexpected += 1
             return
@@ -415,11 +415,11 @@ class K2aciEndpoint:
         self._events.append(Delivered(body.number, sending.item, now_ns - sending.first_ns))
 
     def _handle_numbered(self, body: Numbered) -> None:
-        if body.life > self._peer_life:
-            self._peer_life = body.life
+        if body.boot_id > self._peer_boot_id:
+            self._peer_boot_id = body.boot_id
             self._expected = body.oldest
             self._held.clear()
-        elif body.life < self._peer_life:
+        elif body.boot_id < self._peer_boot_id:
             self.unexpected += 1
             return
         if body.number < self._expected:
@@ -435,7 +435,7 @@ class K2aciEndpoint:
         self._held = {key: value for key, value in self._held.items() if key >= self._expected}
         while (message := self._held.pop(self._expected, None)) is not None:
             self.arrived += 1
-            self._events.append(Arrived(self._peer_life, self._expected, message))
+            self._events.append(Arrived(self._peer_boot_id, self._expected, message))
             self._answer(self._expected)
             self._expected += 1
 
@@ -444,7 +444,7 @@ class K2aciEndpoint:
         if len(self._answers) == _MOST_ANSWERS:
             self._answers.popleft()
             self.dropped_answers += 1
-        self._answers.append(Acknowledgement(self._peer_life, number))
+        self._answers.append(Acknowledgement(self._peer_boot_id, number))
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """Return the next body to send, acknowledgements first, or None."""
@@ -454,7 +454,7 @@ class K2aciEndpoint:
         if due is None:
             return None
         number, sending = due
-        return pack_body(Numbered(self._life, number, self._sending.numbers[0], sending.item))
+        return pack_body(Numbered(self._boot_id, number, self._sending.numbers[0], sending.item))
 
     def poll_timeout(self) -> int | None:
         """When `poll_transmit` has something to repeat; None while nothing is open."""

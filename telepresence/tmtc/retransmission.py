@@ -7,7 +7,7 @@ its reports sent again.
 
     handle_put ──> WAITING ──poll_transmit──> OPEN ──poll_transmit, after the wait──> OPEN
                       │                        │ │
-                      │                        │ └─poll_transmit, after `patience_ns`──> GIVEN UP
+                      │                        │ └─poll_transmit, after `give_up_ns`──> GIVEN UP
                       └────────────pop─────────┴──> gone (acknowledged or superseded)
 
 WAITING: it was never sent, or the window is full. OPEN: it is under way. The first wait is
@@ -41,7 +41,7 @@ class Retransmission(Generic[_Item]):
     other end has it. Take those that `next_given_up` names before `poll_transmit`.
 
     most: items at once, waiting ones included. window: the oldest ones that may be under way.
-    patience_ns: after this time an item that was sent is given up; None: never.
+    give_up_ns: after this time an item that was sent is given up; None: never.
     longest: the longest wait, in `timeout_ns`.
     """
 
@@ -51,7 +51,7 @@ class Retransmission(Generic[_Item]):
         timeout_ns: int,
         most: int,
         window: int | None = None,
-        patience_ns: int | None = None,
+        give_up_ns: int | None = None,
         longest: int = 8,
     ) -> None:
         self.repeated = 0
@@ -59,7 +59,7 @@ class Retransmission(Generic[_Item]):
         self._timeout_ns = timeout_ns
         self._most = most
         self._window = most if window is None else window
-        self._patience_ns = patience_ns
+        self._give_up_ns = give_up_ns
         self._longest_ns = longest * timeout_ns
         self._next = 0
         self._items: dict[int, Repeated[_Item]] = {}
@@ -102,11 +102,11 @@ class Retransmission(Generic[_Item]):
         return self._items.pop(number, None)
 
     def next_given_up(self, now_ns: int) -> int | None:
-        """Return the number of an item whose patience is over, or None; `pop` it."""
+        """Return the number of an item whose timeout is over, or None; `pop` it."""
         for number, one in self._under_way():
-            if self._patience_ns is None or now_ns < one.due_ns or not one.tries:
+            if self._give_up_ns is None or now_ns < one.due_ns or not one.tries:
                 continue
-            if now_ns - one.first_ns >= self._patience_ns:
+            if now_ns - one.first_ns >= self._give_up_ns:
                 return number
         return None
 

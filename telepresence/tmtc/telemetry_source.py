@@ -1,6 +1,6 @@
 """A user's component in the telemetry of a session: what it has, and its table in the dictionary.
 
-A component is a class of its own, named by `module:Class` or by an entry point of `DOOR`. It
+A component is a class of its own, named by `module:Class` or by an entry point of `PLUGINS`. It
 names parameters, events and functions. Housekeeping reports, limits, telecommands with their
 verification, and XTCE derive from the table that `application_of` makes.
 """
@@ -11,7 +11,7 @@ from itertools import chain
 from typing import Any, NamedTuple
 
 from kontur_av.errors import ConfigError
-from kontur_av.parts import PartDoor, make_part
+from kontur_av.parts import PluginRegistry, make_part
 from telepresence.tmtc.pus.dictionary import (
     Application,
     Dictionary,
@@ -25,7 +25,7 @@ from telepresence.tmtc.pus.packets import MAX_REPORT_OCTETS
 from telepresence.tmtc.pus.user import EventReport
 from telepresence.tmtc.pus.values import Parameter, Value
 
-DOOR = PartDoor("component", "module:Class", "kontur_av.telemetry")
+PLUGINS = PluginRegistry("component", "module:Class", "kontur_av.telemetry")
 #: APIDs of components, in the order in which a session names them.
 _APIDS = range(0x140, 0x148)
 #: What the housekeeping of all components may take: a quarter of what PUS may.
@@ -120,14 +120,14 @@ class TelemetrySource:
     functions: tuple[TelemetryFunction, ...] = ()
 
     def configure(self) -> None:
-        """Connect. Raises ConfigError, with the mend, if that is not possible."""
+        """Connect. Raises ConfigError, with the fix, if that is not possible."""
 
     def read(self) -> TelemetryReading:
         """Return values, and the events since the last call. Called twice a second."""
         return TelemetryReading({})
 
     def set(self, name: str, value: Value) -> None:
-        """A telecommand has set a parameter. Called in each new life, too."""
+        """A telecommand has set a parameter. Called in each new start, too."""
 
     def call(self, function: str, arguments: Mapping[str, Value]) -> str | None:
         """Carry a function out; return why not, if it is refused.
@@ -158,11 +158,11 @@ _OF_FUNCTION = "name", "arguments", "text"
 
 
 def load_telemetry(spec: str) -> TelemetrySource:
-    """Return the component that `spec` names: `module:Class` or an entry point of `DOOR`.
+    """Return the component that `spec` names: `module:Class` or an entry point of `PLUGINS`.
 
     Raises ConfigError if there is none. It is not connected to anything.
     """
-    made = make_part(spec, DOOR)
+    made = make_part(spec, PLUGINS)
     if not isinstance(made, TelemetrySource):
         raise ConfigError(f"{spec!r} is no component: inherit from telepresence.TelemetrySource")
     return made

@@ -413,7 +413,7 @@ def _worked(store: FileStore) -> int | None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FlashFigures:
+class FlashMetrics:
     """What housekeeping says of the flash."""
 
     #: Whole rounds through all files.
@@ -439,7 +439,7 @@ class FlashCheck:
         self._due_ns = now_ns
         self._left: dict[str, int] = {}
         self._wrong = False
-        self.figures = FlashFigures()
+        self.metrics = FlashMetrics()
 
     def poll_timeout(self) -> int:
         return self._due_ns
@@ -454,12 +454,12 @@ class FlashCheck:
             return
         path, checksum = self._left.popitem()
         fault = self._fault(path, checksum)
-        self.figures = replace(self.figures, files_checked=self.figures.files_checked + 1)
+        self.metrics = replace(self.metrics, files_checked=self.metrics.files_checked + 1)
         if fault is not None:
             self._note(fault)
         if not self._left:
-            self.figures = replace(
-                self.figures, rounds=self.figures.rounds + 1, sound=not self._wrong
+            self.metrics = replace(
+                self.metrics, rounds=self.metrics.rounds + 1, sound=not self._wrong
             )
 
     def _begin_round(self) -> None:
@@ -468,7 +468,7 @@ class FlashCheck:
             sums: Mapping[str, int] = parse_sfv(self._store.read(f"{self._folder}/{SFV}"))
         except (OSError, ValueError) as error:
             self._note(f"no list of checksums: {error}")
-            self.figures = replace(self.figures, sound=False)
+            self.metrics = replace(self.metrics, sound=False)
             return
         self._left = dict(sorted(sums.items(), reverse=True))
 
@@ -481,4 +481,4 @@ class FlashCheck:
 
     def _note(self, fault: str) -> None:
         self._wrong = True
-        self.figures = replace(self.figures, errors=self.figures.errors + 1, last_error=fault)
+        self.metrics = replace(self.metrics, errors=self.metrics.errors + 1, last_error=fault)

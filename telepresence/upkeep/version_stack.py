@@ -25,7 +25,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.link.figures import SupervisionFigures
+from telepresence.link.link_metrics import SupervisionMetrics
 from telepresence.link.protection.identity import MachineIdentity
 from telepresence.link.supervision.message import LinkState
 from telepresence.malformed import MALFORMED
@@ -365,14 +365,14 @@ _APPROVE, _CONNECTED, _REFUSED = (
 )
 
 
-def status_of(figures: SupervisionFigures) -> VersionStatus:
+def status_of(metrics: SupervisionMetrics) -> VersionStatus:
     """Return what a gateway tells. Ends that agree on flows and frames pass their data."""
     # A peer that is refused has been heard, though its frames may not count as a signal.
-    contact = figures.signal or figures.state == _REFUSED
+    contact = metrics.signal or metrics.state == _REFUSED
     return VersionStatus(
         contact=contact,
-        passed=figures.state == _CONNECTED,
-        stuck=contact and figures.state not in (_APPROVE, _CONNECTED),
+        passed=metrics.state == _CONNECTED,
+        stuck=contact and metrics.state not in (_APPROVE, _CONNECTED),
     )
 
 

@@ -381,7 +381,7 @@ class GroundView:
             self._lights[lit].lay(into, across, down)
         brush = Brush(into)
         offset = complex(self._sway - across, self._sway - down)
-        if state.lights.places_m:
+        if state.lights.positions_m:
             self._shine(brush, state.lights, offset)
         if stylus:
             self._arm.draw(brush, state.x_m, state.y_m, offset)
@@ -390,7 +390,7 @@ class GroundView:
         self._caption.count(brush.y, frame)
 
     def _shine(self, brush: Brush, lights: Lights, offset: complex) -> None:
-        places = np.array(lights.places_m)
+        places = np.array(lights.positions_m)
         turn = 2 * np.pi * np.arange(16) / 16
         rim = lights.radius_m * np.stack((np.cos(turn), np.sin(turn)), axis=-1)
         outlines = np.zeros((len(places), len(turn), 3))

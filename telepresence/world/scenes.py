@@ -52,9 +52,9 @@ DEFAULT_SCENES: dict[str, str] = {
     "right": "scene:right",
     "static": "scene:static",
     "head": "scene:head",
-    "iss_camera": "scene:cabin",
+    "operator_camera": "scene:cabin",
     "ground_mic": "scene:ground_voice",
-    "iss_mic": "scene:cabin_voice",
+    "operator_mic": "scene:cabin_voice",
 }
 
 #: The scenes in which a contact of the stylus with a target can be seen or heard.

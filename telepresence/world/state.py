@@ -19,9 +19,9 @@ BOARD_HEIGHT_M = 0.20
 
 @dataclass(frozen=True, slots=True)
 class Lights:
-    """What shines on the board for a task. places_m: centres of round lights of `radius_m`."""
+    """What shines on the board for a task. positions_m: centres of round lights of `radius_m`."""
 
-    places_m: tuple[tuple[float, float], ...] = ()
+    positions_m: tuple[tuple[float, float], ...] = ()
     radius_m: float = 0.005
     colour: tuple[int, int, int] = (255, 255, 255)
 

@@ -8,7 +8,7 @@ from selenium.webdriver import ActionChains
 
 from pipelines.hand.hand_topics import unpack_status
 from pipelines.hand.haptic_trace import rows_of
-from pipelines.recording.messages import unpack_haptics
+from pipelines.recording.recorded_messages import unpack_haptics
 from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TRACE_TOPIC
 
 SETUP = """

@@ -37,8 +37,8 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.training import Exercises
 from pipelines.session.web_site import page_text
-from pipelines.study.desk import StudyDesk, StudyPhase, StudyPress
 from pipelines.study.plan import Aiming, HandleLevels, StudyPlan
+from pipelines.study.trials import StudyPhase, StudyPress, StudyTrials
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import PageDevice
 from telepresence.tasks.definitions import ControlMode
@@ -156,18 +156,18 @@ UPKEEP = UpkeepText(
 )
 
 
-def figures_of(*, connected):
+def metrics_of(*, connected):
     """What the launcher tells a page of contact, bandwidth, processes and events."""
     supervised = {
         "state": "connected" if connected else "refused",
         "why": "the peer speaks version 2 of the link, this end 1",
     }
-    figures = {
+    metrics = {
         f"gateways.{end}.supervision.{key}": value
         for end in ("ground", "space")
         for key, value in supervised.items()
     }
-    figures |= {
+    metrics |= {
         "contact.since_acquisition_s": 101.0,
         "contact.until_loss_s": 492.0,
         "contact.ahead": "end of shadowing of the downlink",
@@ -181,17 +181,17 @@ def figures_of(*, connected):
         for number, what in enumerate(("milestone", "upkeep"), 1)
     ]
     told = {"at_us": 100_000_000, "seconds": 100.0, "state": "running", "events": events}
-    return {"kind": "figures", "figures": figures, "link": {}, "processes": [], **told}
+    return {"kind": "figures", "figures": metrics, "link": {}, "processes": [], **told}
 
 
 def texts_of_study(*, begun):
     """What the page of a study is told on its first screen, and where a trial begins."""
-    desk = StudyDesk(STUDY, PageDevice(start_m=(0.0, 0.0)), {})
+    service = StudyTrials(STUDY, PageDevice(start_m=(0.0, 0.0)), {})
     for now_ns in range(0, 10 * NS_PER_S, NS_PER_S):
-        desk.handle_time(now_ns)
-        if begun and desk.phase is not StudyPhase.START:
-            desk.handle_press(StudyPress(desk.show(now_ns).screen), now_ns)
-    told = [desk.show(now_ns), *([] if desk.frame is None else [desk.frame])]
+        service.handle_time(now_ns)
+        if begun and service.phase is not StudyPhase.START:
+            service.handle_press(StudyPress(service.show(now_ns).screen), now_ns)
+    told = [service.show(now_ns), *([] if service.frame is None else [service.frame])]
     assert (told[0].phase is StudyPhase.START) is begun
     return [msgspec.json.encode(one).decode() for one in told]
 
@@ -213,7 +213,9 @@ def texts_of(segment, *, connected):
         seat.handle_shown("experiment", experiment)
         place = {"x_m": -0.1, "y_m": 0.1, "push_n": 12.3, "hold": "the robot was off"}
         mode = ControlMode.TELEPRESENCE
-        robot = RobotStatus(life=1, powered=False, mode=mode, fault=REASON, waiting=True, **place)
+        robot = RobotStatus(
+            boot_id=1, powered=False, mode=mode, fault=REASON, waiting=True, **place
+        )
         seat.handle_shown("robot", robot)
         seat.handle_shown("upkeep", UPKEEP)
     else:
@@ -299,7 +301,7 @@ def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name,
             page.run(TELL_STUDY, texts_of_study(begun=connected))
         elif name != "welcome":
             texts = texts_of(segment, connected=connected)
-            texts += [figures_of(connected=connected)] if name == "systems" else []
+            texts += [metrics_of(connected=connected)] if name == "systems" else []
             page.run(TELL, [json.dumps(text) for text in texts])
         page.fit(width)
         for tab in page.run(TABS) or [""]:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import av
 import numpy as np
-from browser import PATIENCE_S, eventually
+from browser import TIMEOUT_S, eventually
 from numbered_pictures import NumberedPictures, number_of, number_on, write_pictures
 from running_session import RunningSession, restarted
 
@@ -79,7 +79,7 @@ def serving(folder, *options):
             yield found[1]
         finally:
             server.send_signal(signal.SIGINT)
-            server.wait(PATIENCE_S)
+            server.wait(TIMEOUT_S)
 
 
 def test_a_browser_sees_hears_is_seen_and_is_heard(start_browser, tmp_path):
@@ -158,9 +158,14 @@ def test_a_partner_in_a_session_sees_and_hears_both_sides_and_is_shown_at_the_gr
         RunningSession(
             str(setup),
             *("--rtc", "18940", "--page", "24200"),
-            *("--source", f"static=pipe:{robot.path}", "--source", f"iss_camera=pipe:{crew.path}"),
+            *(
+                "--source",
+                f"static=pipe:{robot.path}",
+                "--source",
+                f"operator_camera=pipe:{crew.path}",
+            ),
             *("--source", f"ground_mic={tmp_path}/ground.wav"),
-            *("--source", f"iss_mic={tmp_path}/space.wav"),
+            *("--source", f"operator_mic={tmp_path}/space.wav"),
             directory=tmp_path,
         ) as session,
     ):

@@ -10,7 +10,7 @@ import numpy as np
 from browser import eventually
 from janus_room import free_port
 from robot_tip import STILL_M, Tip
-from running_session import COMMAND, PATIENCE_S, RunningSession
+from running_session import COMMAND, TIMEOUT_S, RunningSession
 
 from pipelines.hand.haptic_trace import CONTACT, rows_of
 from pipelines.session.topology import JOYSTICK_TRACE_TOPIC
@@ -106,7 +106,7 @@ def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_pa
                 felt_contact(bus)
             finally:
                 partner.send_signal(signal.SIGINT)
-                code = partner.wait(PATIENCE_S)
+                code = partner.wait(TIMEOUT_S)
         text = (tmp_path / "partner.txt").read_text()
         out.close()
         assert code == 0, text

@@ -280,9 +280,9 @@ def test_a_pointer_moves_the_robot_and_its_release_stops_it(space, robot):
     space.wait("!document.querySelector('hand-tile').textContent.includes('YOU STEER')")
 
     def rests():
-        place_m = robot.x_m()
+        position_m = robot.x_m()
         time.sleep(0.3)
-        return abs(robot.x_m() - place_m) < 0.0005
+        return abs(robot.x_m() - position_m) < 0.0005
 
     eventually(rests, "a robot at rest")
     # A pointer that is not pressed moves nothing.

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 
-from browser import PATIENCE_S, eventually
+from browser import TIMEOUT_S, eventually
 
 PLAN = """
 name = "handle"
@@ -64,7 +64,7 @@ class Study:
 
     def __exit__(self, *_):
         self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(PATIENCE_S) == 0
+        assert self.process.wait(TIMEOUT_S) == 0
         self.process.stdout.close()
 
 
@@ -105,7 +105,7 @@ def do_trial(page, *, touch, picture=None):
     began = pressed = time.monotonic()
     while (seen := page.run(LOOK)) is not None:
         now = time.monotonic()
-        assert now - began < PATIENCE_S, "the trial does not end"
+        assert now - began < TIMEOUT_S, "the trial does not end"
         if now - pressed > 2 and page.run("return window.frame?.starting && !window.frame.rest"):
             # On a busy machine the page was silent for too long: press anew, as a person would.
             point(page, up, x, y, touch=touch)

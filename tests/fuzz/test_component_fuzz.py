@@ -45,7 +45,7 @@ class Erratic(Battery):
 )
 def test_nothing_that_a_component_says_is_raised_or_not_understood(readings, follows, answer):
     mission = Mission(Erratic(readings, follows, answer))
-    poll = mission.desk.poll_transmit
+    poll = mission.service.poll_transmit
 
     def checked(now_ns):
         request = poll(now_ns)
@@ -54,7 +54,7 @@ def test_nothing_that_a_component_says_is_raised_or_not_understood(readings, fol
             assert len(octets) <= MAX_REQUEST_OCTETS and unpack_request(octets) is not None
         return request
 
-    mission.desk.poll_transmit = checked
+    mission.service.poll_transmit = checked
     # `TmtcEnd.handle_request` raises for values and events that no table has.
     mission.run(2)
     assert mission.ask("ping").ok

@@ -40,7 +40,7 @@ def run(seed):
         loss=random.choice([0.0, 0.05, 0.3]),
         doubled=random.choice([0.0, 0.1]),
         overtaken=random.choice([0.0, 0.1]),
-        patience_ns=30 * NS_PER_S,
+        timeout_ns=30 * NS_PER_S,
     )
     ends = {"ground": pair.ground, "space": pair.space}
     lives = dict.fromkeys(ends, 0)

@@ -53,6 +53,6 @@ def test_counters_are_correct_for_any_path(first, path):
         seen.add(number)
     known = sum(number >= begin for number in seen)
     counts["lost"] = newest - begin + 1 - known if arrivals else 0
-    report = link.received_figures()
+    report = link.received_metrics()
     assert {name: getattr(report, name) for name in counts} == counts
     assert report.restarts == 0

@@ -105,7 +105,7 @@ def test_mutated_frames(profile):
     for slot in range(40):
         healthy.handle_packet("tmtc", struct.pack(">I", slot), 0)
         if not receiver.handle_frame(healthy.poll_transmit(0), (FRAMES + slot) * MS):
-            receiver.follow_stranger(new_life=True)
+            receiver.follow_unknown_sender(new_boot_id=True)
         while event := receiver.next_event():
             assert isinstance(event, PacketReceived)
             out.append(event.data)

@@ -7,19 +7,19 @@ from common import first_seed, repeats
 from mutated_octets import mutate
 
 from kontur_av.errors import ProtocolError
-from pipelines.hand.desks import RobotDesk
+from pipelines.hand.robot_commands import RobotCommands
 from pipelines.session import mission_messages as messages
 from pipelines.session.mission_messages import LedsShown, RobotCommand, RobotOrder, pack, unpack
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.loop import robot_link
 from telepresence.tasks.definitions import ControlMode, Pattern
 from telepresence.tasks.panel_picture import PanelPicture
-from telepresence.tasks.places import lights_of
+from telepresence.tasks.positions import lights_of
 
 MS = 1_000_000
 PLACE = {"x_m": 0.0, "y_m": 0.1, "push_n": 2.0, "goal_m": (0.0, 0.1)}
 ROBOT = messages.RobotStatus(
-    life=1, powered=True, mode=ControlMode.POSITION, fault="fünf", commanded=3, **PLACE
+    boot_id=1, powered=True, mode=ControlMode.POSITION, fault="fünf", commanded=3, **PLACE
 )
 PANEL = messages.PanelShown(
     mode="hold", task="aiming", run=1, text="Aim.", words="", start_m=(0, 0), held_s=0.5
@@ -35,7 +35,7 @@ EXPERIMENT = messages.ExperimentShown(
     runs=(messages.RunShown("aiming", 1, "finished", "", 12.5),),
 )
 SEEDS = [
-    messages.CameraWish(1, "stereo"),
+    messages.CameraRequest(1, "stereo"),
     RobotOrder(1, "power", on=True),
     RobotOrder(2, "mode", mode=ControlMode.IMPEDANCE),
     RobotOrder(3, "move", x_m=0.02, y_m=-0.01),
@@ -63,7 +63,7 @@ def read(kind, octets):
 
 def test_mutated_messages_are_read_or_refused_and_harm_nobody():
     random, mutations, taken = Random(first_seed()), repeats(4000), 0
-    desk = RobotDesk(RobotSide(link=robot_link(life=1)), life=1, tasks=True, now_ns=0)
+    service = RobotCommands(RobotSide(link=robot_link(boot_id=1)), boot_id=1, tasks=True, now_ns=0)
     for count in range(mutations):
         seed, other = random.choice(SEEDS), random.choice(SEEDS)
         octets = mutate(random, pack(seed))
@@ -72,13 +72,13 @@ def test_mutated_messages_are_read_or_refused_and_harm_nobody():
         message = read(type(seed), octets)
         taken += message is not None
         if isinstance(message, RobotOrder):
-            desk.handle_order(message, count, count * MS)
+            service.handle_order(message, count, count * MS)
         elif isinstance(message, RobotCommand):
-            desk.handle_command(message, count, count)
+            service.handle_command(message, count, count)
         elif isinstance(message, LedsShown):
             lights_of(message.picture)
-        desk.step(count * MS)
-        assert desk.control.fault == "" and isinstance(desk.control.mode, ControlMode)
+        service.step(count * MS)
+        assert service.control.fault == "" and isinstance(service.control.mode, ControlMode)
     assert 0.03 * mutations < taken < mutations
 
 

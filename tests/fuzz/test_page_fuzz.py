@@ -43,7 +43,7 @@ WORDS = st.sampled_from(
     [
         *("command", "chat", "call", "report", "tasks", "robot", "select", "joystick", "hand"),
         *("session", "input", "take", "give", "ask", "refuse", "on", "record", "start", "stop"),
-        *("halt", "calibrate", "head", "iss_mic", "iss_camera", "", "\ud800"),
+        *("halt", "calibrate", "head", "operator_mic", "operator_camera", "", "\ud800"),
     ]
 )
 #: Requests that are understood, without which few pages would stay open.
@@ -52,7 +52,7 @@ KNOWN = [
     *({"do": "joystick", "event": event} for event in ("halt", "start", "calibrate")),
     *(
         {"do": "input", "name": name, "on": True}
-        for name in ("iss_camera", "iss_mic", "ground_mic")
+        for name in ("operator_camera", "operator_mic", "ground_mic")
     ),
     {"do": "chat", "text": "a line"},
     {"do": "command", "application": "camera", "name": "select", "arguments": ["head"]},

@@ -11,15 +11,15 @@ from common import first_seed, repeats
 from mutated_octets import mutate
 from protected_pair import ProtectedPair, S, connected
 
-from telepresence.link.protection.channel import ProtectionFigures
+from telepresence.link.protection.channel import ProtectionMetrics
 from telepresence.link.protection.datagrams import RECORD, HandshakeSegment, SegmentCodec
 
 DATAGRAMS = repeats(4_000)
 STRANGER = ("203.0.113.9", 4000)
 
 
-def counted(figures: ProtectionFigures) -> int:
-    return figures.opened + figures.handshake_datagrams + sum(figures.dropped.values())
+def counted(metrics: ProtectionMetrics) -> int:
+    return metrics.opened + metrics.handshake_datagrams + sum(metrics.dropped.values())
 
 
 def mutated(datagram: bytes, random: Random) -> bytes:
@@ -44,7 +44,7 @@ def test_mutated_datagrams():
     pair = connected(rekey_records=2000)
     channel = pair.ground.channel
     samples = [datagram for end, datagram in pair.recorded if end is pair.space]
-    opened = channel.figures.opened
+    opened = channel.metrics.opened
     for number in range(DATAGRAMS):
         got = channel.handle_datagram(
             mutated(random.choice(samples), random), STRANGER, pair.now_ns
@@ -58,10 +58,10 @@ def test_mutated_datagrams():
                 datagram for end, datagram in reversed(pair.recorded) if end is pair.space
             )
             del pair.recorded[:-50]
-    figures = channel.figures
-    assert counted(figures) == pair.ground.received
-    assert figures.opened - opened <= DATAGRAMS // 50 + 1
-    assert figures.dropped["malformed"] and figures.dropped["unauthenticated"]
+    metrics = channel.metrics
+    assert counted(metrics) == pair.ground.received
+    assert metrics.opened - opened <= DATAGRAMS // 50 + 1
+    assert metrics.dropped["malformed"] and metrics.dropped["unauthenticated"]
     assert channel.peer_address == pair.space.address
     pair.run(1)
     assert len(set(pair.ground.got)) == len(pair.ground.got)
@@ -95,7 +95,7 @@ def test_mutated_handshakes_of_who_knows_the_identities():
                 )
                 pair.path[at] = (due_ns, count, packs(wrong), source, address)
                 handed += 1
-        assert counted(receiver.channel.figures) == receiver.received
+        assert counted(receiver.channel.metrics) == receiver.received
         # The true peer is found as soon as it is left alone.
         pair.path.clear()
         until_ns = pair.now_ns + 60 * S
@@ -103,4 +103,4 @@ def test_mutated_handshakes_of_who_knows_the_identities():
         while any(len(end.got) == count for end, count in zip(pair.ends, got, strict=True)):
             pair.step()
             assert pair.now_ns < until_ns
-        assert counted(receiver.channel.figures) == receiver.received
+        assert counted(receiver.channel.metrics) == receiver.received

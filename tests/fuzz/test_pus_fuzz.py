@@ -81,7 +81,7 @@ def checked(octets):
 
 
 def end(segment):
-    return TmtcEnd(segment, built_in_dictionary(), now_ns=0, first_count=5, life=1)
+    return TmtcEnd(segment, built_in_dictionary(), now_ns=0, first_count=5, boot_id=1)
 
 
 def drain(one, now_ns):
@@ -138,7 +138,7 @@ def test_mutated_telemetry_leaves_the_user_usable():
 
 
 def test_mutated_bodies_of_k2aci_are_refused_or_pack_to_the_same_octets():
-    random, endpoint, read = Random(first_seed()), K2aciEndpoint(life=1), 0
+    random, endpoint, read = Random(first_seed()), K2aciEndpoint(boot_id=1), 0
     for count in range(repeats(5000)):
         octets = mutate(random, random.choice(K2ACI_BODIES))
         try:

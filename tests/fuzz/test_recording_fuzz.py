@@ -6,8 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from recordings import FACTS_OF_A_TEST, Step, damaged, scanned, sequences_in, steps, write
 
-from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import MAGIC
+from pipelines.recording.metadata import CAPABILITIES, RecordingMetadata
 
 flips = st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(1, 255)), max_size=4)
 
@@ -29,9 +29,9 @@ def check(written, octets, hit):
     kept = {sequence for _, sequence, *_ in found}
     assert found == [message for message in told if message[1] in kept]
     assert kept >= {sequence for _, sequence, *_ in told} - lost
-    assert all(RecordingFacts.of(row.metadata) == FACTS_OF_A_TEST for row in metadata)
+    assert all(RecordingMetadata.of(row.metadata) == FACTS_OF_A_TEST for row in metadata)
     if octets != written.octets:
-        assert not scan.figures.sound
+        assert not scan.metrics.sound
 
 
 @given(flips)
@@ -66,6 +66,6 @@ def test_octets_cut_out_or_put_in(at, length, inserted):
 def test_any_octets(octets):
     scan, found, metadata = scanned(MAGIC + octets)
     assert not scan.ours
-    assert not any(row.name == FACTS for row in metadata)
-    assert scan.figures.messages == len(found)
-    assert scan.figures.octets == len(octets) + len(MAGIC)
+    assert not any(row.name == CAPABILITIES for row in metadata)
+    assert scan.metrics.messages == len(found)
+    assert scan.metrics.octets == len(octets) + len(MAGIC)

@@ -1,4 +1,4 @@
-"""Whatever strangers send or write, a parser understands it or refuses it with its own error."""
+"""Whatever unknown senders send or write, a parser understands it or refuses it with its own error."""
 
 import contextlib
 import resource
@@ -40,7 +40,7 @@ def packets(payload_type, *, picture):
     )
     made = []
     for number in range(4):
-        stamp = CaptureStamp(number * 33 * NS_PER_MS, number, "stranger")
+        stamp = CaptureStamp(number * 33 * NS_PER_MS, number, "unknown sender")
         if picture:
             made += sender.video_packets(AccessUnit(join_annex_b(PICTURE), stamp, True)).packets
         else:
@@ -239,7 +239,7 @@ class Playing:
 
 def wav():
     def opened(path):
-        return FileAudio("stranger", ManualClock(), path)
+        return FileAudio("unknown sender", ManualClock(), path)
 
     codecs = [("pcm_s16le", 8000), ("pcm_f32le", 44_100, "stereo"), ("adpcm_ms", 8000)]
     return Playing("a.wav", opened, (), [(".wav", (sound, *codec)) for codec in codecs])
@@ -247,7 +247,7 @@ def wav():
 
 def film():
     def opened(path):
-        return FileVideo("stranger", 64, 48, 30, ManualClock(), path)
+        return FileVideo("unknown sender", 64, 48, 30, ManualClock(), path)
 
     writers = [
         (".avi", (moving, "mjpeg", "yuvj420p"), (sound, "pcm_s16le", 8000)),

@@ -1,6 +1,6 @@
 """A user's component for tests, and the two ends of TM/TC that it is in."""
 
-from pipelines.mission.component_desk import ComponentDesk
+from pipelines.mission.component_service import ComponentService
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.session.setup.segments import Segment
@@ -87,17 +87,17 @@ class Mission:
         self.table = application_of(self.battery, 0x140)
         known = built_in_dictionary()
         self.dictionary = with_components(known, [Component("tests:Battery", self.table)])
-        life = {"now_ns": 0, "first_count": 1, "life": 1}
-        self.ends = {one: TmtcEnd(one, self.dictionary, **life) for one in Segment}
+        boot_id = {"now_ns": 0, "first_count": 1, "life": 1}
+        self.ends = {one: TmtcEnd(one, self.dictionary, **boot_id) for one in Segment}
         self.now_ns, self.taken, self.number = 0, True, 0
         self.told = []
         self.packets = []
         self.restart(settings or {})
 
     def restart(self, settings):
-        """Its process begins a new life."""
-        life = {"now_ns": self.now_ns, "client": f"battery {self.now_ns}"}
-        self.desk = ComponentDesk(self.battery, self.table, settings=settings, **life)
+        """Its process begins a new start."""
+        boot_id = {"now_ns": self.now_ns, "client": f"battery {self.now_ns}"}
+        self.service = ComponentService(self.battery, self.table, settings=settings, **boot_id)
 
     def ask(self, verb, name="", *arguments, application="battery", **more):
         """A telecommand from space; return its end once it is there."""
@@ -124,10 +124,10 @@ class Mission:
 
     def step(self):
         now_ns = self.now_ns
-        self.desk.handle_time(now_ns)
-        while (request := self.desk.poll_transmit(now_ns)) is not None and self.taken:
+        self.service.handle_time(now_ns)
+        while (request := self.service.poll_transmit(now_ns)) is not None and self.taken:
             self.ends[Segment.GROUND].handle_request(request, now_ns)
-            self.desk.handle_sent(request, now_ns)
+            self.service.handle_sent(request, now_ns)
         for segment, end in self.ends.items():
             for octets in iter(lambda end=end: end.poll_transmit(now_ns), None):
                 self.packets.append(octets)
@@ -135,10 +135,12 @@ class Mission:
             for news in iter(end.next_event, None):
                 self.told.append(news)
                 if segment is Segment.GROUND:
-                    self.desk.handle_news(news, now_ns)
+                    self.service.handle_news(news, now_ns)
 
-    def figures(self):
+    def metrics(self):
         """What its process counts."""
         told = []
-        self.desk.tell(type("Probe", (), {"tell": lambda _self, record: told.append(record)})())
+        self.service.publish(
+            type("Probe", (), {"tell": lambda _self, record: told.append(record)})()
+        )
         return told[0]

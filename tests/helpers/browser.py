@@ -20,7 +20,7 @@ import numpy as np
 import running_session
 
 #: Protects against a hang. A browser whose pictures are drawn by the processor needs more of it.
-PATIENCE_S = 150.0
+TIMEOUT_S = 150.0
 PROGRAMS = ("chromium", "chromedriver")
 #: Chromium's words for a server that does not answer.
 _NO_ANSWER = "net::ERR_"
@@ -96,8 +96,8 @@ class Browser:
         self._errors = []
         try:
             self.driver = webdriver.Chrome(options=options, service=self._service)
-            self.driver.set_script_timeout(PATIENCE_S)
-            self.driver.set_page_load_timeout(PATIENCE_S)
+            self.driver.set_script_timeout(TIMEOUT_S)
+            self.driver.set_page_load_timeout(TIMEOUT_S)
         except BaseException:
             self.end()
             raise
@@ -259,7 +259,7 @@ class Page:
 
 def eventually(ask, what):
     """Call `ask()` until its result is true; return the result."""
-    return running_session.eventually(ask, what, PATIENCE_S)
+    return running_session.eventually(ask, what, TIMEOUT_S)
 
 
 def drawn(page):

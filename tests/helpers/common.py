@@ -13,17 +13,17 @@ import numpy as np
 T = TypeVar("T")
 
 #: Protects against a hang; no result of a test depends on it.
-PATIENCE_S = 90.0
+TIMEOUT_S = 90.0
 
 
 def eventually(
-    ask: Callable[[], T], what: str = "", patience_s: float = PATIENCE_S, pause_s: float = 0.02
+    ask: Callable[[], T], what: str = "", timeout_s: float = TIMEOUT_S, pause_s: float = 0.02
 ) -> T:
-    """Return the first true value of `ask()`; fail, naming `what`, after `patience_s`."""
-    ends = time.monotonic() + patience_s
+    """Return the first true value of `ask()`; fail, naming `what`, after `timeout_s`."""
+    ends = time.monotonic() + timeout_s
     while not (got := ask()):
         if time.monotonic() > ends:
-            raise AssertionError(f"waited {patience_s:.0f} s for {what or 'an answer'}: {got!r}")
+            raise AssertionError(f"waited {timeout_s:.0f} s for {what or 'an answer'}: {got!r}")
         time.sleep(pause_s)
     return got
 

@@ -3,7 +3,7 @@
 import signal
 import subprocess
 
-from running_session import COMMAND, PATIENCE_S, eventually
+from running_session import COMMAND, TIMEOUT_S, eventually
 
 
 class Transfer:
@@ -30,4 +30,4 @@ class Transfer:
         self._process.send_signal(signal.SIGINT)
 
     def end(self):
-        return self._process.wait(PATIENCE_S)
+        return self._process.wait(TIMEOUT_S)

@@ -9,7 +9,7 @@ import subprocess
 
 import pytest
 from places import ROOT
-from running_session import PATIENCE_S, eventually
+from running_session import TIMEOUT_S, eventually
 
 CLIENT = ROOT / "tests" / "web" / "foxglove_client.mjs"
 PACKAGE = ROOT / ".ci" / "web" / "node_modules" / "@foxglove" / "ws-protocol"
@@ -70,7 +70,7 @@ class FoxgloveClient:
     def end(self):
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.close()
-        self.process.wait(PATIENCE_S)
+        self.process.wait(TIMEOUT_S)
 
 
 def address(session, who="foxglove"):

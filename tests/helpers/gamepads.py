@@ -25,7 +25,7 @@ class Pad:
 
     def __init__(self):
         self.stick = Stick("pad", AXES, KEYS)
-        self.facts = self.stick.facts
+        self.capabilities = self.stick.capabilities
         self.read, self.set_zero = self.stick.reading, self.stick.handle_zero
         self.advance = self.stick.advance
         self.write_force = lambda x_n, y_n: None

@@ -13,14 +13,14 @@ def begin_session(link: HapticLink[Any, Any], *, request: int = 0x500) -> int:
     """Exchange greetings with `link`; return the session number that its peer now sends with."""
     session = link.session
     if isinstance(session, RobotSession):
-        life = 0
+        boot_id = 0
         while True:
-            session.handle_greeting(Greeting(0, request, life))
+            session.handle_greeting(Greeting(0, request, boot_id))
             while (greeting := session.poll_greeting(0, 0)) is None:
                 pass
             if greeting.session:
                 return greeting.session
-            life = greeting.number
+            boot_id = greeting.number
     asked = session.poll_greeting(0, 0)
     assert asked is not None
     session.handle_greeting(Greeting(session.sending + 1, ROBOT_LIFE << 8, asked.number))

@@ -264,15 +264,15 @@ class Audience:
         async with self._stack as stack:
             self.janus = stack.enter_context(Janus(self._folder))
             self._http = await stack.enter_async_context(aiohttp.ClientSession())
-            self.door = await stack.enter_async_context(WhipDoor(self._http, self.janus.url))
-            words = ["-m", "pipelines.cli", "publish", "--whip", self.door.url]
+            self.admission = await stack.enter_async_context(WhipDoor(self._http, self.janus.url))
+            words = ["-m", "pipelines.cli", "publish", "--whip", self.admission.url]
             words += ["--report", str(self.report), *self._options]
             self.sender = await asyncio.create_subprocess_exec(
                 sys.executable, *words, stdout=subprocess.DEVNULL
             )
             stack.push_async_callback(self.end_sender)
             stack.push_async_callback(self._leave)
-            self._feed = await asyncio.wait_for(asyncio.shield(self.door.feed), 30)
+            self._feed = await asyncio.wait_for(asyncio.shield(self.admission.feed), 30)
             self._stack = stack.pop_all()
         return self
 

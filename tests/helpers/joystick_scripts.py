@@ -2,12 +2,12 @@
 
 from math import pi, sin
 
-from telepresence.haptics.device.device import JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.script import IDLE, ScriptRun
 
 MS = 1_000_000
 REST = JoystickReading(0.0, 0.0, 0.0, 0.0, dead_man=False)
-STICK = JoystickFacts(name="stick", half_width_m=0.1, half_height_m=0.08, buttons=3, leds=2)
+STICK = JoystickCapabilities(name="stick", half_width_m=0.1, half_height_m=0.08, buttons=3, leds=2)
 
 
 def play(script, answer, most_ms=70_000):

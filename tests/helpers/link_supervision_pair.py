@@ -20,16 +20,16 @@ SPACE = Configuration(transmit=DOWNLINK, transmit_flows=DOWN, receive=UPLINK, re
 class End:
     """A supervisor with a minimal gateway: application data in each slot, if there is any.
 
-    It tells streams apart by the life of the end that sent a frame.
+    It tells streams apart by the start of the end that sent a frame.
     """
 
     def __init__(self, name, configuration, *, master):
         self.name, self.configuration, self.master = name, configuration, master
         self.supervisor = None
-        self.life = 0
-        #: The life whose stream is followed, and the stranger's: life, first and last frame, count.
+        self.boot_id = 0
+        #: The life whose stream is followed, and the unknown sender's: life, first and last frame, count.
         self.followed = None
-        self.stranger = (None, 0, 0, 0)
+        self.unknown = (None, 0, 0, 0)
         self.sends = True
         #: Interval of the slots with application data.
         self.period = 1
@@ -37,15 +37,15 @@ class End:
         self.events, self.sent = [], []
         self.delivered = []
 
-    def start(self, life, slot):
-        self.life = life
+    def start(self, boot_id, slot):
+        self.boot_id = boot_id
         self.followed, self.events, self.sent = None, [], []
         self.supervisor = Supervisor(
             master=self.master,
             configuration=self.configuration,
-            life=life,
+            boot_id=boot_id,
             now_ns=slot * MS,
-            secret=life,
+            secret=boot_id,
         )
         self.supervisor.handle_local_check(None, slot * MS)
 
@@ -86,27 +86,27 @@ class Pair:
         for end, other in (self.ends, self.ends[::-1]):
             path = self.paths[end.name]
             while path and path[0][0] <= slot:
-                _, life, message, data = path.popleft()
+                _, boot_id, message, data = path.popleft()
                 if other.supervisor is not None:
-                    self.arrive(other, life, message, data, now_ns + MS // 3)
+                    self.arrive(other, boot_id, message, data, now_ns + MS // 3)
         self.slot += 1
         both = [end.supervisor and end.supervisor.state for end in self.ends]
         assert not (self.never_connected and LinkState.CONNECTED in both)
 
-    def arrive(self, end, life, message, data, now_ns):
+    def arrive(self, end, boot_id, message, data, now_ns):
         supervisor = end.supervisor
-        if life != end.followed:
-            known, begun_ns, last_ns, frames = end.stranger
-            if known != life or now_ns - last_ns >= 50 * MS:
+        if boot_id != end.followed:
+            known, begun_ns, last_ns, frames = end.unknown
+            if known != boot_id or now_ns - last_ns >= 50 * MS:
                 begun_ns, frames = now_ns, 0
-            end.stranger = (life, begun_ns, now_ns, frames + 1)
-            found = supervisor.handle_stranger(
+            end.unknown = (boot_id, begun_ns, now_ns, frames + 1)
+            found = supervisor.handle_unknown_sender(
                 message, now_ns, frames=frames + 1, lasts_ns=now_ns - begun_ns
             )
             self.drain(end)
             if found is Encounter.IGNORE:
                 return
-            end.followed = life
+            end.followed = boot_id
         supervisor.handle_frame(now_ns)
         if message is not None:
             supervisor.handle_message(message, now_ns)
@@ -118,7 +118,7 @@ class Pair:
     def transmit(self, end, slot, now_ns):
         data = None
         if end.sends and slot % end.period == 0:
-            data = (end.life, slot)
+            data = (end.boot_id, slot)
             end.supervisor.handle_application_sent(now_ns)
         message = end.supervisor.poll_transmit(now_ns)
         self.drain(end)
@@ -129,7 +129,7 @@ class Pair:
             elif self.random.random() < self.garble:
                 message = self.random.randbytes(12)
         if not self.blocked[end.name]:
-            self.paths[end.name].append((slot + self.delay_slots, end.life, message, data))
+            self.paths[end.name].append((slot + self.delay_slots, end.boot_id, message, data))
 
     @staticmethod
     def drain(end):

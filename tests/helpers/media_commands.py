@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 
-from common import PATIENCE_S, eventually
+from common import TIMEOUT_S, eventually
 
 COMMAND = """
 import argparse, importlib, sys
@@ -50,7 +50,7 @@ def player(*command: object, stdin=subprocess.DEVNULL):
 
 def output_of(one, octets: int) -> bytes:
     """The output of a player, once it ends, has so many octets, or grows no more."""
-    size, until = 0, time.monotonic() + PATIENCE_S
+    size, until = 0, time.monotonic() + TIMEOUT_S
     while size < octets and time.monotonic() < until and one.poll() is None:
         if (now := os.fstat(one.data.fileno()).st_size) > size:
             size, until = now, time.monotonic() + 15
@@ -84,7 +84,7 @@ def ours(name: str, *options: object):
     return started(sys.executable, "-c", COMMAND, name, *options)
 
 
-def finish(process, seconds: float = PATIENCE_S) -> str:
+def finish(process, seconds: float = TIMEOUT_S) -> str:
     output, _ = process.communicate(timeout=seconds)
     assert process.returncode == 0, output
     return output

@@ -51,8 +51,8 @@ class MediatedPair:
         return np.array(self._values).reshape(-1, 7)
 
     def restart_joystick(self) -> None:
-        """Begin a new life of the joystick's side, with the handle where it is."""
-        link = joystick_link(life=2)
+        """Begin a new start of the joystick's side, with the handle where it is."""
+        link = joystick_link(boot_id=2)
         self.space = JoystickSide(handle=self.handle, link=link, **self._feel)
 
     def run(self, seconds: float) -> None:

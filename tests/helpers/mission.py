@@ -33,16 +33,16 @@ class Mission:
 
     def __init__(self, *, delay_ms=10, skill=0.7, seed=1, **options):
         self.now_ns = 0
-        self.robot = RobotSide(link=robot_link(life=3), robot=Robot(x_m=-0.01))
+        self.robot = RobotSide(link=robot_link(boot_id=3), robot=Robot(x_m=-0.01))
         self.control = RobotControl(self.robot.robot)
         self.cosmonaut = Cosmonaut(Skill(level=skill), seed=seed)
         self.joystick = JoystickSide(
-            link=joystick_link(life=4), handle=HeldJoystick(hand=self.cosmonaut)
+            link=joystick_link(boot_id=4), handle=HeldJoystick(hand=self.cosmonaut)
         )
         self.joystick.handle.dead_man = False
         self.experiment = Experiment(built_in_tasks(), **options)
         self.panel = MissionPanel()
-        self.ground, self.space = K2aciEndpoint(life=1), K2aciEndpoint(life=2)
+        self.ground, self.space = K2aciEndpoint(boot_id=1), K2aciEndpoint(boot_id=2)
         self.sender, self.leds = PanelSender(), LedPanel()
         self.signal = True
         self.halted = ""

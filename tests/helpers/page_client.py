@@ -12,7 +12,7 @@ import aiohttp
 from kontur_av.codecs.h26x import H264Decoder
 
 #: Protects against a hang; no test result depends on it.
-PATIENCE_S = 40.0
+TIMEOUT_S = 40.0
 
 
 class Unit(NamedTuple):
@@ -46,7 +46,7 @@ class Page:
 
     async def next(self):
         """The next message, text or octets; None when the server has closed."""
-        message = await self.ws.receive(timeout=PATIENCE_S)
+        message = await self.ws.receive(timeout=TIMEOUT_S)
         if message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY):
             return message.data
         return None
@@ -117,7 +117,7 @@ def visit(url, deeds, *, tls=True):
     async def run():
         connector = aiohttp.TCPConnector(ssl=tls)
         async with aiohttp.ClientSession(connector=connector) as client:
-            return await asyncio.wait_for(deeds(Visitor(client, url)), 2 * PATIENCE_S)
+            return await asyncio.wait_for(deeds(Visitor(client, url)), 2 * TIMEOUT_S)
 
     return asyncio.run(run())
 

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 
-from common import PATIENCE_S
+from common import TIMEOUT_S
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.media import AccessUnit, CaptureStamp
@@ -51,8 +51,8 @@ async def kept(url, make_peer, token, servers=IceServers):
         await running
 
 
-async def until(true, patience_s=PATIENCE_S):
-    async with asyncio.timeout(patience_s):
+async def until(true, timeout_s=TIMEOUT_S):
+    async with asyncio.timeout(timeout_s):
         while not true():
             await asyncio.sleep(0.01)
 

@@ -46,7 +46,7 @@ class ProtectedEnd:
 
     @property
     def dropped(self):
-        return {name: n for name, n in self.channel.figures.dropped.items() if n}
+        return {name: n for name, n in self.channel.metrics.dropped.items() if n}
 
 
 class ProtectedPair:
@@ -74,7 +74,7 @@ class ProtectedPair:
             SPACE_KEY, GROUND_KEY.identity, SPACE_ADDRESS, GROUND_ADDRESS, **options
         )
         #: Ends beside the two.
-        self.strangers = []
+        self.unknown_senders = []
         self.path = []
         #: Every datagram that an end sent: (from, datagram).
         self.recorded = []
@@ -113,14 +113,14 @@ class ProtectedPair:
     def step(self):
         while self.path and self.path[0][0] <= self.now_ns:
             _, _, datagram, source, address = heapq.heappop(self.path)
-            for end in (*self.ends, *self.strangers):
+            for end in (*self.ends, *self.unknown_senders):
                 if end.address == address and end.channel is not None:
                     end.received += 1
                     frame = end.channel.handle_datagram(datagram, source, self.now_ns)
                     if frame is not None:
                         end.got.append(int(frame))
                     self.drain(end)
-        for end in (*self.ends, *self.strangers):
+        for end in (*self.ends, *self.unknown_senders):
             channel = end.channel
             if channel is None:
                 continue

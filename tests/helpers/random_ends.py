@@ -68,12 +68,12 @@ class Ends:
     def start_joystick(self):
         self.lives += 1
         self.handle = OperatedHandle(PageDevice(), paused=self.paused)
-        self.space = JoystickSide(link=joystick_link(life=self.lives), handle=self.handle)
+        self.space = JoystickSide(link=joystick_link(boot_id=self.lives), handle=self.handle)
 
     def start_robot(self):
         self.lives += 1
         self.envelope = SafetyEnvelope(LIMITS, now_ns=self.now_ms * MS)
-        self.ground = RobotSide(link=robot_link(life=self.lives), envelope=self.envelope)
+        self.ground = RobotSide(link=robot_link(boot_id=self.lives), envelope=self.envelope)
         self.born_ms = self.now_ms
 
     def slack_ms(self):

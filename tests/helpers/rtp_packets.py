@@ -97,9 +97,9 @@ def feed(receiver: RtpReceiver, packets, every_ns=1, since_ns=0, source=None) ->
 
 def counted(receiver: RtpReceiver) -> dict[str, int]:
     """Return the counts that are not 0, but for octets, without `rtp_` in their names."""
-    figures = asdict(receiver.counts)
-    del figures["rtp_payload_octets"]
-    return {name.removeprefix("rtp_"): count for name, count in figures.items() if count}
+    metrics = asdict(receiver.counts)
+    del metrics["rtp_payload_octets"]
+    return {name.removeprefix("rtp_"): count for name, count in metrics.items() if count}
 
 
 def report_at(unix_ns: int, timestamp: int) -> bytes:

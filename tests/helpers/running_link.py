@@ -20,7 +20,7 @@ from pipelines.table import topology_of
 
 COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Protects against a hang; no test result depends on it.
-PATIENCE_S = 40.0
+TIMEOUT_S = 40.0
 
 
 def free_base_port(hosts=("127.0.0.1",)):
@@ -90,7 +90,7 @@ class RunningLink:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(PATIENCE_S)
+                self.process.wait(TIMEOUT_S)
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
@@ -124,7 +124,7 @@ class RunningLink:
 
     def end(self):
         """Wait for the end; return the exit code and the report."""
-        code = self.process.wait(PATIENCE_S)
+        code = self.process.wait(TIMEOUT_S)
         assert self.report_path.exists(), self.output()
         return code, json.loads(self.report_path.read_text())
 

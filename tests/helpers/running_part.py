@@ -31,7 +31,7 @@ def running(session, part, *, setup=SETUP, pages=False, **arguments):
         with suppress(BlockingIOError):
             while data := ours.recv(1 << 20):
                 message = Message.unpack(data)
-                reported.figures.update(message.figures)
+                reported.metrics.update(message.metrics)
                 reported.series += message.series
         return reported
 
@@ -39,7 +39,7 @@ def running(session, part, *, setup=SETUP, pages=False, **arguments):
     thread.start()
     try:
         # The first report comes when its sockets and topics are open.
-        eventually(lambda: listen().figures)
+        eventually(lambda: listen().metrics)
         yield listen
     finally:
         context.stopping = True

@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from common import PATIENCE_S, WORKER, eventually, free_port
+from common import TIMEOUT_S, WORKER, eventually, free_port
 
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import shared_memory
@@ -159,7 +159,7 @@ class RunningSession:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(PATIENCE_S)
+                self.process.wait(TIMEOUT_S)
         # Its process group, so also those that nobody looked for.
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
@@ -238,7 +238,7 @@ class RunningSession:
         """Run a command from another terminal."""
         command = [*COMMAND, *words]
         return subprocess.run(
-            command, capture_output=True, text=True, timeout=PATIENCE_S, env=self.environment
+            command, capture_output=True, text=True, timeout=TIMEOUT_S, env=self.environment
         )
 
     @contextlib.contextmanager
@@ -259,7 +259,7 @@ class RunningSession:
 
     def end(self):
         """Wait for the end; return the exit code and the report."""
-        code = self.process.wait(PATIENCE_S)
+        code = self.process.wait(TIMEOUT_S)
         return code, json.loads(self.report_path.read_text())
 
     def shared_memory(self):

@@ -19,9 +19,9 @@ from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, CaptureStamp, VideoFr
 from pipelines.bench.course import marks
 from pipelines.hand.haptic_trace import flags_of
 from pipelines.recording.channels import channels_of
-from pipelines.recording.facts import FACTS, LIBRARY, RecordingFacts
 from pipelines.recording.mcap_stream import McapStream
-from pipelines.recording.messages import (
+from pipelines.recording.metadata import CAPABILITIES, LIBRARY, RecordingMetadata
+from pipelines.recording.recorded_messages import (
     NO_SAMPLE,
     SAMPLE,
     CarriedOctets,
@@ -33,13 +33,13 @@ from pipelines.recording.messages import (
     QueueState,
     RecordedEvent,
     RecordedFigure,
-    RecordedFigures,
     RecordedFrames,
+    RecordedMetrics,
     RecordedPacket,
     RecordedPicture,
     RecordedSound,
     RecorderLosses,
-    UnitFacts,
+    UnitMetadata,
     pack,
     pack_haptics,
     packet_words,
@@ -71,7 +71,7 @@ size = "320x240"
 [downlink_voice]
 cap_kbps = 64
 """
-FACTS_OF_SYNTHETIC = RecordingFacts(
+FACTS_OF_SYNTHETIC = RecordingMetadata(
     session="kontur-1",
     setup="spacejustin",
     setup_toml=SETUP_TOML,
@@ -129,7 +129,7 @@ class SyntheticRecording:
     units: dict[str, list[Coded]]
     haptics: dict[str, np.ndarray]
     contacts: list[tuple[int, int]]
-    facts: RecordingFacts = field(default=FACTS_OF_SYNTHETIC)
+    capabilities: RecordingMetadata = field(default=FACTS_OF_SYNTHETIC)
 
 
 def wall_ns(session_ns):
@@ -170,10 +170,12 @@ def write_recording(path, *, seconds=3.0, parts=1, link_frames=False, end=True):
             if (part == 1 or told.log_ns >= begin_ns) and (end_ns is None or told.log_ns < end_ns)
         ]
         paths.append(part_path(Path(path), part))
-        facts = replace(
+        capabilities = replace(
             FACTS_OF_SYNTHETIC, part=part, session_ns=begin_ns, wall_ns=wall_ns(begin_ns)
         )
-        paths[-1].write_bytes(octets_of_part(rows.values(), facts, of_part, end or part < parts))
+        paths[-1].write_bytes(
+            octets_of_part(rows.values(), capabilities, of_part, end or part < parts)
+        )
     by_topic = defaultdict(list)
     for told in sorted(messages, key=lambda told: told.log_ns):
         by_topic[told.topic].append(told)
@@ -182,9 +184,9 @@ def write_recording(path, *, seconds=3.0, parts=1, link_frames=False, end=True):
     )
 
 
-def octets_of_part(rows, facts, messages, end):
+def octets_of_part(rows, capabilities, messages, end):
     stream, octets, now_ns = McapStream(library=LIBRARY), bytearray(), 0
-    stream.handle_metadata(FACTS, facts.items())
+    stream.handle_metadata(CAPABILITIES, capabilities.items())
     numbers = {}
     for row in rows:
         numbers[row.topic] = row.number
@@ -257,7 +259,7 @@ def media_messages(units, seconds):
             for number, unit in enumerate(units_of):
                 broken = number == LOST_PICTURE and len(units_of) < len(found)
                 yield picture(f"/{name}/{way}", unit, number, delay_ns)
-                yield facts_of(f"/{name}/{way}", unit, number, delay_ns, shows_loss=broken)
+                yield capabilities_of(f"/{name}/{way}", unit, number, delay_ns, shows_loss=broken)
     for name, bitrate_bps in VOICES.items():
         for number, packet in enumerate(spoken(bitrate_bps, seconds)):
             at_ns = BEGIN_NS + number * 20 * MS
@@ -277,8 +279,8 @@ def picture(topic, unit, sequence, delay_ns):
     return told(topic, unit.capture_ns, sequence, pack(value), delay_ns)
 
 
-def facts_of(topic, unit, sequence, delay_ns, *, shows_loss=False):
-    value = UnitFacts(
+def capabilities_of(topic, unit, sequence, delay_ns, *, shows_loss=False):
+    value = UnitMetadata(
         capture_ns=unit.capture_ns,
         key=unit.key,
         damaged=False,
@@ -366,8 +368,8 @@ def command_messages(seconds, contacts):
     at_ns = BEGIN_NS + round(seconds * S) - MS
     losses = (ChannelLoss(channel="/camera/head", missed=2, dropped=1),)
     yield told("/recorder/losses", at_ns, 0, pack(RecorderLosses(session_ns=at_ns, losses=losses)))
-    figures = (RecordedFigure(name="uplink_video.state", number=0.0, text="fresh"),)
-    yield told("/figures", at_ns, 1, pack(RecordedFigures(session_ns=at_ns, figures=figures)))
+    metrics = (RecordedFigure(name="uplink_video.state", number=0.0, text="fresh"),)
+    yield told("/figures", at_ns, 1, pack(RecordedMetrics(session_ns=at_ns, metrics=metrics)))
 
 
 def packet(topic, at_ns, sequence, data):

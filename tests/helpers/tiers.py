@@ -192,15 +192,15 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
 @contextlib.contextmanager
 def _room_for(row: Row) -> Iterator[None]:
     """Keep the machine for a test: whole, or shared with those of other lanes."""
-    door, room = (os.open(path, os.O_RDONLY) for path in (__file__, Path(__file__).parent))
+    admission, room = (os.open(path, os.O_RDONLY) for path in (__file__, Path(__file__).parent))
     try:
         # Who waits for the whole machine stands in the door, so that no other goes in.
-        fcntl.flock(door, fcntl.LOCK_EX)
+        fcntl.flock(admission, fcntl.LOCK_EX)
         fcntl.flock(room, fcntl.LOCK_EX if row.alone else fcntl.LOCK_SH)
-        fcntl.flock(door, fcntl.LOCK_UN)
+        fcntl.flock(admission, fcntl.LOCK_UN)
         yield
     finally:
-        for lock in (door, room):
+        for lock in (admission, room):
             # A child of the test may have a copy, so closing is not enough.
             fcntl.flock(lock, fcntl.LOCK_UN)
             os.close(lock)

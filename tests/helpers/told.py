@@ -1,7 +1,7 @@
 """Figures as a process reports them, for tests of their receivers."""
 
 from pipelines.session.probe import Message, Series
-from telepresence.link.figures import GatewayFigures, SenderFigures
+from telepresence.link.link_metrics import GatewayMetrics, SenderMetrics
 
 
 def series(rows, stream=""):
@@ -11,17 +11,17 @@ def series(rows, stream=""):
     return told
 
 
-def message(*figures, rows=(), stream="", **others):
+def message(*metrics, rows=(), stream="", **others):
     """A message with records of `stream`, and with rows of one type or of several."""
     kinds = dict.fromkeys(map(type, rows))
     told = [series([row for row in rows if type(row) is kind], stream) for kind in kinds]
     made = Message(series=told, **others)
-    for one in figures:
-        made.tell(one, stream)
+    for one in metrics:
+        made.publish(one, stream)
     return made
 
 
 def gateway(*, transmit=None, receive=None, radio=None, supervision=None):
-    """The link of one life of a gateway, of which only these parts are known."""
-    transmit = SenderFigures() if transmit is None else transmit
-    return GatewayFigures(transmit=transmit, receive=receive, radio=radio, supervision=supervision)
+    """The link of one start of a gateway, of which only these parts are known."""
+    transmit = SenderMetrics() if transmit is None else transmit
+    return GatewayMetrics(transmit=transmit, receive=receive, radio=radio, supervision=supervision)

@@ -86,7 +86,7 @@ class TwoHosts:
         """Take a host's cable out."""
         _run("ip", "-n", self._names["router"], "link", "set", f"to-{host}", "down")
 
-    def mend(self, host):
+    def fix(self, host):
         """Put it in again."""
         _run("ip", "-n", self._names["router"], "link", "set", f"to-{host}", "up")
 

@@ -22,13 +22,13 @@ class PythonController:
 
     def __init__(self, key=bytes(32), *, limits=(25.0, 0.5, 0.0, 0.0, 0.0), half=(0.15, 0.1)):
         self.key = key
-        self.facts = struct.pack(">5fBB2f", *limits, 4, 4, *half) + b"test"
+        self.capabilities = struct.pack(">5fBB2f", *limits, 4, 4, *half) + b"test"
         self.takes, self.axes = 0, 2
         self.answers = True
         self.restart()
 
     def restart(self):
-        """Begin a new life."""
+        """Begin a new start."""
         self.keys = self.pending = (None, None)
         self.newest = self.sent = self.lives = 0
         self.place, self.speed, self.push = [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
@@ -49,7 +49,7 @@ class PythonController:
             self.pending = tuple(
                 hmac.digest(self.key, word + both, "sha256") for word in (b"command", b"reading")
             )
-            body = bytes([1, 2, self.axes, self.takes]) + both + self.facts
+            body = bytes([1, 2, self.axes, self.takes]) + both + self.capabilities
             return [body + code(body, self.key)]
         assert kind == 3
         if self.keys[0] is None or code(body, self.keys[0]) != datagram[-16:]:
@@ -99,7 +99,7 @@ class MemoryLine:
             self.send()
             self.receive()
             if not self.session.silent:
-                return self.session.facts
+                return self.session.capabilities
         return None
 
     def send(self):

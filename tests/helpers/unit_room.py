@@ -23,17 +23,17 @@ def closed_doors() -> Iterator[None]:
     """Within this context, starting a process or a simulation raises AssertionError."""
     opened = [getattr(owner, name) for owner, name in _DOORS]
     # Without unittest.mock, which does more for each of thousands of tests.
-    for (owner, name), door in zip(_DOORS, opened, strict=True):
-        setattr(owner, name, _closed(owner, name, door))
+    for (owner, name), admission in zip(_DOORS, opened, strict=True):
+        setattr(owner, name, _closed(owner, name, admission))
     try:
         yield
     finally:
-        for (owner, name), door in zip(_DOORS, opened, strict=True):
-            setattr(owner, name, door)
+        for (owner, name), admission in zip(_DOORS, opened, strict=True):
+            setattr(owner, name, admission)
 
 
 def _closed(owner, name, opened):
-    def door(*args, **options):
+    def admission(*args, **options):
         # Python starts the system's linker to find a library.
         if sys._getframe(1).f_globals.get("__name__") == "ctypes.util":
             return opened(*args, **options)
@@ -42,4 +42,4 @@ def _closed(owner, name, opened):
             "move it to tests/realtime (processes) or tests/sim (simulated sessions)"
         )
 
-    return door
+    return admission

@@ -4,7 +4,7 @@ import signal
 import subprocess
 from contextlib import contextmanager
 
-from common import PATIENCE_S
+from common import TIMEOUT_S
 from running_session import COMMAND
 
 #: A program that tells what it is given, ten times a second, and where it runs.
@@ -30,7 +30,7 @@ def make(folder, name, status=WORKS, text=PROGRAM):
 
 def command(*words):
     done = subprocess.run(
-        [*COMMAND, *map(str, words)], capture_output=True, text=True, timeout=PATIENCE_S
+        [*COMMAND, *map(str, words)], capture_output=True, text=True, timeout=TIMEOUT_S
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -44,4 +44,4 @@ def running(*words, stdout=subprocess.DEVNULL, stderr=None):
         yield process
     finally:
         process.send_signal(signal.SIGTERM)
-        process.wait(PATIENCE_S)
+        process.wait(TIMEOUT_S)

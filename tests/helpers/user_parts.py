@@ -5,11 +5,11 @@ from dataclasses import replace
 
 from places import ROOT
 
-from telepresence.haptics.axes import AxisFacts, AxisReading, SimulatedAxis
+from telepresence.haptics.axes import AxisCapabilities, AxisReading, SimulatedAxis
 
 MORE = (
-    AxisFacts(name="z", half_range=0.1, force_limit=10.0, speed=0.5),
-    AxisFacts(name="yaw", half_range=1.0, force_limit=0.5, speed=3.0),
+    AxisCapabilities(name="z", half_range=0.1, force_limit=10.0, speed=0.5),
+    AxisCapabilities(name="yaw", half_range=1.0, force_limit=0.5, speed=3.0),
 )
 
 
@@ -26,12 +26,12 @@ class Guided:
 
     def __init__(self):
         super().__init__()
-        self.facts = replace(self.facts, more=MORE)
-        self.axes = [SimulatedAxis(facts, meets=False) for facts in MORE]
+        self.capabilities = replace(self.capabilities, more=MORE)
+        self.axes = [SimulatedAxis(capabilities, meets=False) for capabilities in MORE]
 
     def read_more(self):
         return [
-            AxisReading(axis.place_m / axis.lever_m, axis.speed_m_s / axis.lever_m)
+            AxisReading(axis.position_m / axis.lever_m, axis.speed_m_s / axis.lever_m)
             for axis in self.axes
         ]
 

@@ -49,7 +49,7 @@ class VirtualLink:
             radio=up,
             limits=limits,
             master=True,
-            life=1 + seed % 0xFFFF,
+            boot_id=1 + seed % 0xFFFF,
             secret=2 * seed,
             now_ns=start_ns,
         )
@@ -61,7 +61,7 @@ class VirtualLink:
             radio=down,
             limits=limits,
             master=False,
-            life=1 + (seed + 1) % 0xFFFF,
+            boot_id=1 + (seed + 1) % 0xFFFF,
             secret=2 * seed + 1,
             now_ns=start_ns,
         )

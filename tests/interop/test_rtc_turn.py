@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import pytest
-from common import PATIENCE_S, eventually
+from common import TIMEOUT_S, eventually
 from programs import needs
 from two_hosts import GROUND_PUBLIC, OUTSIDE, PORT, TwoHosts
 
@@ -42,7 +42,7 @@ def running(hosts, host, path, *words, end=signal.SIGINT, **environment):
         finally:
             process.send_signal(end)
             try:
-                process.wait(PATIENCE_S)
+                process.wait(TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()

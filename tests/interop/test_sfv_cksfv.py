@@ -5,7 +5,7 @@ import subprocess
 import pytest
 from programs import needs
 
-from pipelines.upkeep.desk import DiskStore
+from pipelines.upkeep.requests import DiskStore
 from telepresence.upkeep.file_store import StoredFile
 from telepresence.upkeep.manifest import SFV, fault_of, write_copy
 

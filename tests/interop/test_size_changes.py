@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from common import PATIENCE_S, eventually, free_port, psnr_db
+from common import TIMEOUT_S, eventually, free_port, psnr_db
 from programs import needs
 from rtp_packets import PromptSender
 
@@ -111,7 +111,7 @@ def test_it_goes_on_through_each_size(name, stream, tmp_path):
             time.sleep(0.008)
             eventually(lambda: waiting_octets() < 30_000, "the decoder")
         try:
-            output, _ = process.communicate(timeout=PATIENCE_S)
+            output, _ = process.communicate(timeout=TIMEOUT_S)
         finally:
             process.kill()
     assert process.returncode == 0, output

@@ -123,7 +123,7 @@ LIBRARIES = {
     ),
     "cv2": (
         "kontur_av/codecs/ kontur_av/detect.py kontur_av/sources/stereo.py "
-        "pipelines/bench/video/figures.py pipelines/media/marking.py pipelines/ros2/ "
+        "pipelines/bench/video/quality.py pipelines/media/marking.py pipelines/ros2/ "
         "telepresence/world/"
     ),
     "datetime": "telepresence/link/protection/identity.py telepresence/link/radio/orbit.py",

@@ -48,7 +48,7 @@ ALLOWED = {
     "pipelines/session/process.py": {"become", "take_realtime", "Collections.handle_flush"},
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
     # In a program of its own, before it begins.
-    "pipelines/upkeep/desk.py": {"_end_with_the_keeper"},
+    "pipelines/upkeep/requests.py": {"_end_with_the_keeper"},
 }
 #: Functions among them that others call by these names.
 CALLED = {"switch_threads_often", "load_libraries", "keep_memory", "become"}

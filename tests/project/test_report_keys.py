@@ -4,7 +4,7 @@ import msgspec
 from report_keys import comments, keys_tables
 
 from pipelines.report.model import SessionReport
-from pipelines.session.figures import Report
+from pipelines.session.session_metrics import Report
 
 
 class Part(Report, frozen=True, kw_only=True):

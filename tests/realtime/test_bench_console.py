@@ -15,7 +15,7 @@ open(sys.argv[1], "w").write(json.dumps({"printed": number}))
 """
 
 
-def test_a_closed_pipe_is_no_failure_and_wanted_figures_are_kept(tmp_path):
+def test_a_closed_pipe_is_no_failure_and_wanted_metrics_are_kept(tmp_path):
     path = tmp_path / "report.json"
     away, end = os.pipe()
     with subprocess.Popen(

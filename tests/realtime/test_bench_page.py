@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.page import command as page
-from benchmarks.page.figures import OURS, PEER
 from benchmarks.page.footage import HEIGHT, WIDTH, pictures
+from benchmarks.page.page_metrics import OURS, PEER
 from benchmarks.page.screen import Spot, number_at
 
 HERE = all(shutil.which(name) for name in ("chromium", "chromedriver", "Xvfb"))

@@ -7,12 +7,12 @@ import pytest
 from benchmarks.__main__ import main as benchmark
 from benchmarks.video.peers import CONTENDERS
 from benchmarks.video.targets import DEFAULT
-from pipelines.bench.video.figures import OURS
+from pipelines.bench.video.quality import OURS
 from pipelines.cli import main
 
 
 @pytest.mark.parametrize("name", [OURS, DEFAULT])
-def test_a_short_run_gives_figures(name, tmp_path, capsys):
+def test_a_short_run_gives_metrics(name, tmp_path, capsys):
     if (reason := CONTENDERS[name].missing()) is not None:
         pytest.skip(reason)
     report, plot = tmp_path / "figures.json", tmp_path / "latency.png"
@@ -24,9 +24,9 @@ def test_a_short_run_gives_figures(name, tmp_path, capsys):
     assert plot.read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
     assert "capture to displayed, p99" in printed
-    figures = json.loads(report.read_text())
-    assert {one["who"] for one in figures.pop("headlines")} >= {name}
-    (rate,) = figures.values()
+    metrics = json.loads(report.read_text())
+    assert {one["who"] for one in metrics.pop("headlines")} >= {name}
+    (rate,) = metrics.values()
     found = rate["scene"][name]
     latencies = found["latencies_ms"]
     # The machine decides how many pictures come and how late, but some come, and none early.

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from running_session import RunningSession, assert_sound, eventually, tcp_port
 
 from kontur_av.rtp.nal_formats import H264
-from pipelines.recording.messages import RecordedPicture, unpack
+from pipelines.recording.recorded_messages import RecordedPicture, unpack
 
 ONCE = ("/figures", "/events", "/log")
 #: Feeds a decoder with access units; how many pictures came, and each fault.
@@ -141,10 +141,10 @@ class Run:
             assert os.sched_getscheduler(pid) == os.SCHED_IDLE
             url = address(session)
             self._look(FoxgloveClient(url, top / "looker.txt"))
-            # A stranger without the token is refused, and garbage closes a socket of its own.
-            stranger = FoxgloveClient(url.replace("token=", "token=x"), top / "stranger.txt")
-            assert "403" in str(eventually(lambda: stranger.answers("error"), "a refusal"))
-            stranger.end()
+            # An unknown sender without the token is refused, and garbage closes a socket of its own.
+            unknown = FoxgloveClient(url.replace("token=", "token=x"), top / "unknown sender.txt")
+            assert "403" in str(eventually(lambda: unknown.answers("error"), "a refusal"))
+            unknown.end()
             # A process that is killed comes again at the same address.
             os.kill(pid, signal.SIGKILL)
 
@@ -213,9 +213,9 @@ def test_over_tls_a_client_leads_a_task_by_services(start, tmp_path):
     url = address(session)
     assert url.startswith("wss://")
     # Node.js refuses a certificate that nobody told it to trust.
-    stranger = FoxgloveClient(url, tmp_path / "stranger.txt")
-    assert "self-signed" in str(eventually(lambda: stranger.answers("error"), "a refusal"))
-    stranger.end()
+    unknown = FoxgloveClient(url, tmp_path / "unknown sender.txt")
+    assert "self-signed" in str(eventually(lambda: unknown.answers("error"), "a refusal"))
+    unknown.end()
     (certificate,) = session.temporary.glob("*/*/foxglove.pem")
     watcher = FoxgloveClient(
         address(session, "watch"), tmp_path / "watcher.txt", certificate=certificate

@@ -108,4 +108,4 @@ def test_refused_real_time_names_the_limits_to_set(monkeypatch):
     monkeypatch.setattr(machine_checks, "_RT_PRIORITY", 1000)
     verdict = machine_checks.check_real_time()
     assert verdict.state == "advice"
-    assert "rtprio 1000" in verdict.mend and "/etc/security/limits.d" in verdict.mend
+    assert "rtprio 1000" in verdict.fix and "/etc/security/limits.d" in verdict.fix

@@ -202,7 +202,7 @@ def test_a_closed_terminal_ends_the_session_by_its_launcher_alone_and_nothing_un
     assert run("closes_the_terminal", hangup=signal.SIG_IGN)["ends"] == WELL
 
 
-def test_figures_that_cannot_be_shown_break_nothing():
+def test_metrics_that_cannot_be_shown_break_nothing():
     # What shows them also tells a keeper of versions, so it is called again.
     found = run("good", 0, "disk")
     assert found["tries"] > 1 and found["ends"] == WELL
@@ -216,7 +216,7 @@ def test_a_page_stops_and_starts_the_other_processes():
     assert found["stops"] == 1 and found["ends"] == WELL
 
 
-def test_a_page_that_reads_nothing_loses_figures_and_holds_up_nobody():
+def test_a_page_that_reads_nothing_loses_metrics_and_holds_up_nobody():
     # Each message takes nearly all of the socket's buffer.
     found = run("good", 0, fill=900_000)
     assert 0 < found["sent"] < found["asked"] and found["ends"] == WELL

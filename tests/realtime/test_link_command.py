@@ -1,4 +1,4 @@
-"""`kontur-av link` carries the datagrams of programs, and none from strangers."""
+"""`kontur-av link` carries the datagrams of programs, and none from unknown senders."""
 
 import contextlib
 import os
@@ -99,7 +99,7 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
         for size in (0, 1, 12, 32, 500, 1400, 9000):
             anyone.sendto(os.urandom(size), ("127.0.0.1", port))
             anyone.sendto(bytes(size), ("127.0.0.1", port))
-    link.wait_for_line("strangers")
+    link.wait_for_line("unknown_senders")
     for name in ("uplink_maintenance", "downlink_maintenance"):
         until_through(anyone, ("127.0.0.1", session.entry_port(name)), exits[name], b"still there")
     assert link.children() == children
@@ -116,7 +116,7 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
     assert_books_are_right(report, SPACEJUSTIN)
     assert report["failures"] == []
     for end in ("ground", "space"):
-        assert report["gateways"][end]["strangers"] == {"radio": 14}
+        assert report["gateways"][end]["unknown_senders"] == {"radio": 14}
         assert report["gateways"][end]["supervision"]["contacts"]
     for link_report in report["link"].values():
         assert link_report["refused"]["garbage"] > 0
@@ -143,13 +143,13 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
         base_port=bases[0],
         name="ground",
     )
-    here, there, stranger = program(0), program(0, "127.0.0.3"), program(0, "127.0.0.4")
+    here, there, unknown = program(0), program(0, "127.0.0.3"), program(0, "127.0.0.4")
     up = program(space.topology.exit_port("uplink_maintenance"), "127.0.0.3")
     down = program(ground.topology.exit_port("downlink_maintenance"))
     until_through(here, ("127.0.0.1", ground.topology.entry_port("uplink_maintenance")), up, b"up")
     entry = "127.0.0.2", space.topology.entry_port("downlink_maintenance")
     for _ in range(3):
-        stranger.sendto(b"not from the programs", entry)
+        unknown.sendto(b"not from the programs", entry)
         # A whole frame, but not in a record.
         here.sendto(bytes(500), ("127.0.0.2", bases[0]))
     until_through(there, entry, down, b"down")
@@ -164,7 +164,7 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
     assert path["dropped"]["malformed"] == 3
     code, report = space.interrupt()
     assert code == 0, space.output()
-    assert report["gateways"]["space"]["strangers"] == {"downlink_maintenance": 3}
+    assert report["gateways"]["space"]["unknown_senders"] == {"downlink_maintenance": 3}
     assert report["gateways"]["space"]["peer"]["address"] == where
     assert set(came(down)) <= {b"down"}
     # No report, line or file of an end has its private key.

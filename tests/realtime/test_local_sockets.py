@@ -7,12 +7,12 @@ from contextlib import closing
 
 import msgspec
 import pytest
-from common import PATIENCE_S
+from common import TIMEOUT_S
 
 from kontur_av.errors import ConfigError
 from pipelines.session import datagrams, terminals
 from pipelines.session.sessions import hold_session
-from pipelines.session.terminals import ask_desk, desk_path, running_sessions
+from pipelines.session.terminals import request_socket, running_sessions, send_request
 
 DESK = "trainer"
 
@@ -40,18 +40,18 @@ def here(sockets):
 
 
 def test_strangers_are_counted_and_displace_no_frame_of_the_peer(sockets, here):
-    peer, stranger, neighbour = sockets(), sockets(), sockets("127.0.0.2")
-    ours, strangers = datagrams.open_peer(here, peer.getsockname())
-    with closing(ours), closing(strangers):
+    peer, unknown, neighbour = sockets(), sockets(), sockets("127.0.0.2")
+    ours, unknown_senders = datagrams.open_peer(here, peer.getsockname())
+    with closing(ours), closing(unknown_senders):
         for number in range(5000):
-            stranger.sendto(bytes(500), here)
+            unknown.sendto(bytes(500), here)
             if number % 100 == 0:
                 peer.sendto(b"frame %d" % (number // 100), here)
         neighbour.sendto(b"x", here)
-        # Datagrams of strangers fill no queue of the peer.
+        # Datagrams of unknown senders fill no queue of the peer.
         frames = [datagrams.receive(ours, 100) for _ in range(51)]
         assert frames == [b"frame %d" % number for number in range(50)] + [None]
-        assert datagrams.receive(strangers, 1) == b"\0"
+        assert datagrams.receive(unknown_senders, 1) == b"\0"
         ours.send(b"answer")
         assert peer.recvfrom(100) == (b"answer", here)
         with pytest.raises(OSError):
@@ -59,10 +59,10 @@ def test_strangers_are_counted_and_displace_no_frame_of_the_peer(sockets, here):
 
 
 def test_a_port_for_one_sender_takes_nobody_elses_datagrams(sockets, here):
-    sender, stranger = sockets("127.0.0.2"), sockets()
+    sender, unknown = sockets("127.0.0.2"), sockets()
     with datagrams.listen_to(here, sender.getsockname()) as udp:
         for _ in range(1000):
-            stranger.sendto(bytes(500), here)
+            unknown.sendto(bytes(500), here)
         sender.sendto(b"ours", here)
         assert [datagrams.receive(udp, 10), datagrams.receive(udp, 10)] == [b"ours", None]
 
@@ -75,10 +75,10 @@ def test_a_port_accepts_only_the_host_of_the_programs(sockets):
     ):
         inlet = datagrams.Inlet(("127.0.0.1", 0), host)
         with closing(inlet.udp):
-            for address, data in (("4", b"a stranger"), ("3", b"a program"), ("3", b"")):
+            for address, data in (("4", b"a unknown sender"), ("3", b"a program"), ("3", b"")):
                 sockets(f"127.0.0.{address}").sendto(data, inlet.udp.getsockname())
             assert [inlet.receive(5) for _ in range(4)] == taken
-            assert inlet.strangers == refused
+            assert inlet.unknown_senders == refused
     assert (
         datagrams.is_loopback("127.0.0.1")
         and datagrams.is_loopback("127.9.9.9")
@@ -103,7 +103,7 @@ def directory(monkeypatch):
     """Not tmp_path, because the path of a socket must be short."""
     with tempfile.TemporaryDirectory(prefix="kav") as path:
         monkeypatch.setenv("TMPDIR", path)
-        monkeypatch.setattr(terminals, "_PATIENCE_S", PATIENCE_S)
+        monkeypatch.setattr(terminals, "_TIMEOUT_S", TIMEOUT_S)
         yield path
 
 
@@ -117,10 +117,10 @@ def test_a_sessions_own_socket_belongs_to_one_process_and_samples_reach_it_in_an
     second.close()
     to_robot = datagrams.OwnOutlet("lab", 27_009)
     to_robot.send(b"too soon")
-    for life in (b"first", b"second"):
+    for boot_id in (b"first", b"second"):
         with datagrams.listen_own("lab", 27_009) as robot:
-            to_robot.send(life)
-            assert datagrams.receive(robot) == life
+            to_robot.send(boot_id)
+            assert datagrams.receive(robot) == boot_id
         to_robot.send(b"nobody listens")
     assert to_robot.failed == 3
 
@@ -130,12 +130,12 @@ class Line(msgspec.Struct):
 
 
 @pytest.fixture
-def desk(directory):
+def service(directory):
     """desk(session, answer): a listening socket; returns the lines that it received."""
     listeners = []
 
     def listen(session, answer=b'{"text": "done"}\n'):
-        path = desk_path(session, DESK)
+        path = request_socket(session, DESK)
         path.parent.parent.mkdir(mode=0o700, exist_ok=True)
         path.parent.mkdir()
         listener = socket.socket(socket.AF_UNIX)
@@ -151,7 +151,7 @@ def desk(directory):
                 except OSError:
                     return
                 with link:
-                    link.settimeout(PATIENCE_S)
+                    link.settimeout(TIMEOUT_S)
                     line = link.makefile("rb").readline()
                     if line:
                         asked.append(line)
@@ -167,24 +167,24 @@ def desk(directory):
 
 
 def ask(session=None, name=DESK):
-    return ask_desk(name, Line(), Line, session, missing="nobody trains here")
+    return send_request(name, Line(), Line, session, missing="nobody trains here")
 
 
-def test_the_only_session_is_asked_and_one_that_dies_answers_nothing(desk):
-    asked = desk("taskboard-41")
+def test_the_only_session_is_asked_and_one_that_dies_answers_nothing(service):
+    asked = service("taskboard-41")
     assert ask() == Line("done")
     assert asked == [b'{"text":"ask"}\n']
     with pytest.raises(ConfigError, match="nobody trains here"):
         ask(name="owner")
-    desk("spacejustin-42", b"")
+    service("spacejustin-42", b"")
     # The setup's name selects its only session.
     assert ask("taskboard") == Line("done")
     assert ask("spacejustin") is None
 
 
-def test_with_several_sessions_a_name_is_required(desk):
-    desk("taskboard-41")
-    desk("taskboard-42", b'{"text": "second"}\n')
+def test_with_several_sessions_a_name_is_required(service):
+    service("taskboard-41")
+    service("taskboard-42", b'{"text": "second"}\n')
     assert sorted(running_sessions(DESK)) == ["taskboard-41", "taskboard-42"]
     several = r"several .* taskboard-41, taskboard-42 with --session"
     for session, says in (
@@ -198,22 +198,22 @@ def test_with_several_sessions_a_name_is_required(desk):
 
 
 @pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
-def test_a_killed_session_is_ignored_and_sockets_of_datagrams_are_found(desk, kind):
-    desk("one")
-    desk_path("dead", DESK).parent.mkdir(parents=True)
+def test_a_killed_session_is_ignored_and_sockets_of_datagrams_are_found(service, kind):
+    service("one")
+    request_socket("dead", DESK).parent.mkdir(parents=True)
     with socket.socket(socket.AF_UNIX, kind) as dead:
-        dead.bind(str(desk_path("dead", DESK)))
+        dead.bind(str(request_socket("dead", DESK)))
     assert running_sessions(DESK) == ["one"]
     assert ask() == Line("done")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
-        link.bind(str(desk_path("one", "tmtc.space")))
+        link.bind(str(request_socket("one", "tmtc.space")))
         assert running_sessions("tmtc.space") == ["one"]
 
 
-def test_a_process_that_is_restarted_is_waited_for(desk):
-    desk("other", b"")
+def test_a_process_that_is_restarted_is_waited_for(service):
+    service("other", b"")
     with hold_session("lab") as session:
-        path = desk_path(session, DESK)
+        path = request_socket(session, DESK)
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as killed:
             killed.bind(str(path))
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as again:

@@ -19,12 +19,12 @@ from kontur_av.media import (
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
-from pipelines.media.figures import CaptureFigures, DisplayFigures
+from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics
 from pipelines.media.process_capture import run_microphone
 from pipelines.media.process_display import run_display
 from pipelines.media.process_send import run_video_send
-from pipelines.session.figures import ShownRow
 from pipelines.session.process import Context
+from pipelines.session.session_metrics import ShownRow
 from pipelines.session.topology import SELECTED_TOPIC
 from pipelines.table import topology_of
 from telepresence.link.gateway import BACKLOG_OCTETS, Backlog
@@ -42,10 +42,10 @@ def session():
 def test_an_input_reports_its_last_capture(session):
     begin_ns = CLOCK.now_ns()
     with running(session, run_microphone, name="ground_mic") as listen:
-        eventually(lambda: listen().figures[CaptureFigures, ""].captured or None)
+        eventually(lambda: listen().metrics[CaptureMetrics, ""].captured or None)
     reported = listen()
-    assert begin_ns <= reported.figures[CaptureFigures, ""].captured_ns <= CLOCK.now_ns()
-    assert reported.figures[CaptureFigures, ""].source_faults == 0
+    assert begin_ns <= reported.metrics[CaptureMetrics, ""].captured_ns <= CLOCK.now_ns()
+    assert reported.metrics[CaptureMetrics, ""].source_faults == 0
 
 
 def test_concealed_sound_is_not_displayed(session):
@@ -59,10 +59,10 @@ def test_concealed_sound_is_not_displayed(session):
         for number, quality in enumerate([fresh, concealed, concealed, fresh]):
             stamp = CaptureStamp(CLOCK.now_ns(), number, stream.name, quality, number)
             writer.publish_audio(AudioFrame(SOUND, stamp))
-        shown = DisplayFigures, stream.name
-        eventually(lambda: listen().figures[shown].frames_displayed == 2 or None)
+        shown = DisplayMetrics, stream.name
+        eventually(lambda: listen().metrics[shown].frames_displayed == 2 or None)
     reported = listen()
-    assert reported.figures[shown].frames_displayed == 2
+    assert reported.metrics[shown].frames_displayed == 2
     rows = [row for series in reported.series if series.kind is ShownRow for row in series.rows()]
     assert [row.timestamp for row in rows] == [0, 3]
 
@@ -111,7 +111,7 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
         numbers = iter(range(10_000))
 
         def counters():
-            return listen().figures[SenderCounts, ""]
+            return listen().metrics[SenderCounts, ""]
 
         def counted(counter, more_than, waiting_octets):
             def look():

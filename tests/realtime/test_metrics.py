@@ -35,17 +35,17 @@ def test_prometheus_reads_what_the_report_says(start, tmp_path):
 
     try:
 
-        def figures():
+        def metrics():
             found = {key: one for key, one in peer.scraped().items() if key[0].endswith("_total")}
             return found if found.get(sent) and len(found) > 200 else None
 
-        found = eventually(figures, "figures in Prometheus")
+        found = eventually(metrics, "figures in Prometheus")
         eventually(lambda: tells("healthz", "well\n"), "health")
     finally:
         # Prometheus dies without a word, which changes nothing.
         peer.process.kill()
         peer.process.wait()
-    # The next life of a killed process serves the figures at the same address.
+    # The next start of a killed process serves the figures at the same address.
     os.kill(session.pids()["metrics"], signal.SIGKILL)
     eventually(lambda: tells("metrics", sent[0]), "figures after the kill")
     own = fetched(f"http://127.0.0.1:{port}/metrics")

@@ -1,4 +1,4 @@
-"""SpaceJustin in MuJoCo, and a stranger's arm, in whole sessions by the documents' commands."""
+"""SpaceJustin in MuJoCo, and an unknown sender's arm, in whole sessions by the documents' commands."""
 
 import os
 import shutil
@@ -43,12 +43,12 @@ def test_an_arm_is_driven_seen_and_outlives_its_physics(start, tmp_path, monkeyp
     with session.bus(monkeypatch) as bus:
         reader = bus.reader(ROBOT_TOPIC)
 
-        def place_m():
+        def position_m():
             with eventually(reader.latest, "a state of the robot") as lease:
                 return unpack_state(lease.octets()).x_m
 
-        began_m = place_m()
-        eventually(lambda: abs(place_m() - began_m) > 0.01, "a motion")
+        began_m = position_m()
+        eventually(lambda: abs(position_m() - began_m) > 0.01, "a motion")
     killed = physics_of(session)
     os.kill(killed, signal.SIGKILL)
     eventually(lambda: physics_of(session) not in (None, killed), "the physics again")

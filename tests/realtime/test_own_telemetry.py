@@ -7,7 +7,7 @@ from pathlib import Path
 from running_session import eventually
 
 from pipelines.mission.tmtc_messages import CommandUpdate, Reported, unpack_news
-from pipelines.recording.messages import RecordedEvent, unpack
+from pipelines.recording.recorded_messages import RecordedEvent, unpack
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.session.topology import TMTC_TOPICS, Segment
 
@@ -54,7 +54,7 @@ def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_pa
     with session.bus(monkeypatch) as bus:
         reader = bus.reader(TMTC_TOPICS[Segment.GROUND], depth=32)
         os.kill(process_of(session), signal.SIGKILL)
-        # Its next life sinks to its limit, which is an event, and recharges itself after it.
+        # Its next start sinks to its limit, which is an event, and recharges itself after it.
         heard = []
 
         def recharged():

@@ -1,4 +1,4 @@
-"""The server of a session's pages, as browsers and strangers meet it."""
+"""The server of a session's pages, as browsers and unknown senders meet it."""
 
 import asyncio
 import contextlib

@@ -9,7 +9,7 @@ from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import pytest
-from running_session import COMMAND, PATIENCE_S, alive, eventually, restarted, tcp_port
+from running_session import COMMAND, TIMEOUT_S, alive, eventually, restarted, tcp_port
 
 _SHORT = 'cameras = ["head"]\npartner_arm = "{arm}"\n[uplink_video]\ncap_kbps = 85\n'
 
@@ -24,15 +24,15 @@ def start_lab(start, tmp_path):
     return begin
 
 
-def owner(session, *words):
+def authority(session, *words):
     command = [*COMMAND, "owner", *words]
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=PATIENCE_S, env=session.environment
+        command, capture_output=True, text=True, timeout=TIMEOUT_S, env=session.environment
     )
 
 
 def hand_over(session, to):
-    done = owner(session, to)
+    done = authority(session, to)
     assert done.returncode == 0, done
     assert f"{to} drives" in done.stdout
 
@@ -65,7 +65,7 @@ class Partner:
     def end(self):
         """Press Ctrl-C; return the exit code and the samples that it got."""
         self.process.send_signal(signal.SIGINT)
-        code = self.process.wait(PATIENCE_S)
+        code = self.process.wait(TIMEOUT_S)
         return code, int(re.search(r"(\d+) from it", self._path.read_text())[1])
 
 
@@ -73,7 +73,7 @@ def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start
     session = start_lab("shared")
     pids = session.pids()
     session.wait_for_flow()
-    eventually(lambda: owner(session).stdout == "iss drives\n", "the joystick in space drives")
+    eventually(lambda: authority(session).stdout == "iss drives\n", "the joystick in space drives")
     with Partner(session, tmp_path / "partner.txt") as partner:
         hand_over(session, "partner")
         partner.wait_for("answers")
@@ -82,8 +82,10 @@ def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start
             os.kill(pids[name], signal.SIGKILL)
             eventually(lambda pid=pids[name]: not alive(pid), f"the end of {name}")
             eventually(lambda: len(session.children()) == len(pids), f"the restart of {name}")
-        eventually(lambda: owner(session).stdout.startswith("partner drives"), "the partner again")
-        assert owner(session, "bob").returncode == 2
+        eventually(
+            lambda: authority(session).stdout.startswith("partner drives"), "the partner again"
+        )
+        assert authority(session, "bob").returncode == 2
         hand_over(session, "iss")
         partner.wait_for("silent")
         code, got = partner.end()
@@ -141,8 +143,10 @@ def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_pat
     session = start_lab("second", *options)
     pids = session.pids()
     session.wait_for_flow()
-    with Partner(session, tmp_path / "stranger.txt", "--rtc", url, "--token", "guess") as stranger:
-        stranger.wait_for("the token is not taken (401): this address needs the token")
+    with Partner(
+        session, tmp_path / "unknown sender.txt", "--rtc", url, "--token", "guess"
+    ) as unknown:
+        unknown.wait_for("the token is not taken (401): this address needs the token")
     headers = {"Authorization": f"Bearer {(tmp_path / 'hand').read_text()}"}
     request = Request(f"{url}/haptics", b"v=0", headers)
     request.add_header("Content-Type", "application/sdp")
@@ -154,10 +158,10 @@ def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_pat
         os.kill(pids["rtc"], signal.SIGKILL)
         back = re.compile(r"silent\n.*answers\n\Z", re.DOTALL)
         eventually(lambda: back.search(said.read_text()[before:]), "silence and answers")
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unknown:
             for size in range(32):
-                stranger.sendto(bytes(size), ("127.0.0.1", session.base_port + 7))
-        assert owner(session).returncode == 2
+                unknown.sendto(bytes(size), ("127.0.0.1", session.base_port + 7))
+        assert authority(session).returncode == 2
         session.wait_for_flow()
         assert partner.end()[1] > 0
     code, report = session.interrupt()

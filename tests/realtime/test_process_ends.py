@@ -6,10 +6,10 @@ import pytest
 
 from kontur_av.clock import MonotonicClock
 from pipelines.session.datagrams import LOOPBACK, receive
-from pipelines.session.figures import LatenessRow, LoopFigures, ProbeFigures, RxRow
 from pipelines.session.probe import FLUSH_NS, Message
 from pipelines.session.process import Context
-from telepresence.haptics.figures import PortFigures
+from pipelines.session.session_metrics import LatenessRow, LoopMetrics, ProbeMetrics, RxRow
+from telepresence.haptics.haptic_metrics import PortMetrics
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def received(link):
     return Message.unpack(link.recv(1 << 22))
 
 
-def test_figures_are_filled_in_and_sent_when_they_are_due_also_after_a_full_socket(link):
+def test_metrics_are_filled_in_and_sent_when_they_are_due_also_after_a_full_socket(link):
     ours, theirs = link
     context = context_of(theirs)
     context.on_flush(lambda: context.probe.series(LatenessRow).add(LatenessRow(7)))
@@ -42,7 +42,7 @@ def test_figures_are_filled_in_and_sent_when_they_are_due_also_after_a_full_sock
     with pytest.raises(BlockingIOError):
         while True:
             theirs.send(b"full")
-    context.probe.tell(PortFigures(credit_uj=1, least_uj=0))
+    context.probe.publish(PortMetrics(credit_uj=1, least_uj=0))
     context.tick(FLUSH_NS)
     with pytest.raises(BlockingIOError):
         while True:
@@ -50,7 +50,7 @@ def test_figures_are_filled_in_and_sent_when_they_are_due_also_after_a_full_sock
     context.tick(2 * FLUSH_NS)
     message = received(ours)
     assert message.series[0].rows() == [LatenessRow(7)] * 2
-    assert message.figures[PortFigures, ""].credit_uj == 1
+    assert message.metrics[PortMetrics, ""].credit_uj == 1
 
 
 def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link):
@@ -61,19 +61,19 @@ def test_a_launcher_that_does_not_read_delays_nothing_and_loses_whole_rows(link)
     for number in range(60_000):
         arrivals.add(RxRow(number, -number))
         if number % 500 == 499:
-            context.probe.tell(LoopFigures(cycles=number + 1))
-            context.send_figures(number)
+            context.probe.publish(LoopMetrics(cycles=number + 1))
+            context.send_metrics(number)
     seen = []
     with pytest.raises(BlockingIOError):
         while True:
             seen += [row for series in received(ours).series for row in series.rows()]
-    context.send_figures(60_000)
+    context.send_metrics(60_000)
     message = received(ours)
     seen += [row for series in message.series for row in series.rows()]
-    assert message.figures[LoopFigures, ""].cycles == 60_000
+    assert message.metrics[LoopMetrics, ""].cycles == 60_000
     # A row arrives whole or not at all, and every missing one is counted.
     assert all(row.received_ns == -row.timestamp for row in seen)
-    dropped = message.figures[ProbeFigures, ""].probe_values_dropped
+    dropped = message.metrics[ProbeMetrics, ""].probe_values_dropped
     assert 0 < dropped == 2 * (60_000 - len(seen))
 
 
@@ -81,7 +81,7 @@ def test_a_closed_launcher_is_no_error(link):
     ours, theirs = link
     ours.close()
     for end in (theirs, None):
-        context_of(end).send_figures(0)
+        context_of(end).send_metrics(0)
 
 
 def test_a_sender_survives_its_receiver_and_reaches_the_next_one():

@@ -10,7 +10,7 @@ import pytest
 from places import ROOT
 
 #: Protects against a hang; no result of a test depends on it.
-PATIENCE_S = 900
+TIMEOUT_S = 900
 
 
 def block_after(document, mark):
@@ -52,7 +52,7 @@ def shell(place):
             env=environment,
             capture_output=True,
             text=True,
-            timeout=PATIENCE_S,
+            timeout=TIMEOUT_S,
         )
         assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
         return done.stdout

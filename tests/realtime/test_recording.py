@@ -12,12 +12,17 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.records import Metadata
-from running_session import COMMAND, PATIENCE_S, assert_sound, eventually
+from running_session import COMMAND, TIMEOUT_S, assert_sound, eventually
 from xtce_decoder import decoded
 
 from pipelines.cli import main
-from pipelines.recording.facts import FACTS, RecordingFacts
-from pipelines.recording.messages import RecordedEvent, RecordedPacket, unpack, unpack_haptics
+from pipelines.recording.metadata import CAPABILITIES, RecordingMetadata
+from pipelines.recording.recorded_messages import (
+    RecordedEvent,
+    RecordedPacket,
+    unpack,
+    unpack_haptics,
+)
 from pipelines.recording.scan import FoundMessage, Scan
 from telepresence.haptics.device.states import JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -34,13 +39,13 @@ def counted(path):
 
 def scanned(path):
     """A scan of a file that may be torn, its messages, and the facts of the recording."""
-    scan, messages, facts = Scan(memoryview(path.read_bytes())), [], None
+    scan, messages, capabilities = Scan(memoryview(path.read_bytes())), [], None
     for item in scan.items():
         if isinstance(item, FoundMessage):
             messages.append(item)
-        elif isinstance(item, Metadata) and item.name == FACTS:
-            facts = RecordingFacts.of(item.metadata)
-    return scan, messages, facts
+        elif isinstance(item, Metadata) and item.name == CAPABILITIES:
+            capabilities = RecordingMetadata.of(item.metadata)
+    return scan, messages, capabilities
 
 
 def kept(report):
@@ -54,7 +59,7 @@ def kept(report):
 def record(session, *words):
     command = [*COMMAND, "record", *map(str, words)]
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=PATIENCE_S, env=session.environment
+        command, capture_output=True, text=True, timeout=TIMEOUT_S, env=session.environment
     )
 
 
@@ -81,7 +86,7 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
     found = sum(map(counted, parts_of(path)), Counter())
     assert found == kept(report)
     scans = [scanned(part) for part in parts_of(path)]
-    assert all(scan.figures.sound for scan, _, _ in scans)
+    assert all(scan.metrics.sound for scan, _, _ in scans)
 
     def octets(topic):
         return [
@@ -143,11 +148,11 @@ def test_a_killed_recorder_goes_on_in_a_new_part(start, tmp_path):
     assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
     assert report["recorder"]["parts"] == 2
-    scan, messages, facts = scanned(path)
-    assert not scan.figures.closed and not scan.figures.orphans
+    scan, messages, capabilities = scanned(path)
+    assert not scan.metrics.closed and not scan.metrics.orphans
     later = scanned(second)[2]
     assert later.part == 2
-    assert later.wall_ns - later.session_ns == facts.wall_ns - facts.session_ns
+    assert later.wall_ns - later.session_ns == capabilities.wall_ns - capabilities.session_ns
     both = Counter(each.channel.topic for each in messages) + counted(second)
     # The killed one's last report may be half a second old.
     assert all(both[name] >= count for name, count in kept(report).items())
@@ -160,7 +165,7 @@ def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
     done = record(session, first, "--seconds", "1")
     assert done.returncode == 0, done
     assert re.fullmatch(r"session taskboard-\d+\n", done.stderr)
-    assert scanned(first)[0].figures.sound
+    assert scanned(first)[0].metrics.sound
     again = record(session, first, "--seconds", "1")
     assert again.returncode == 2 and "--overwrite" in again.stderr
     replaced = record(session, first, *["--seconds", "3", "--part-seconds", "1", "--overwrite"])
@@ -176,7 +181,7 @@ def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
     eventually(lambda: second.exists() and second.stat().st_size > 10_000, "the second recording")
     process.kill()
     process.wait()
-    eventually(lambda: scanned(second)[0].figures.sound, "the end of the second recording")
+    eventually(lambda: scanned(second)[0].metrics.sound, "the end of the second recording")
     session.wait_for_flow()
     code, report = session.interrupt()
     assert code == 0, (session.errors(), report["failures"])
@@ -212,7 +217,7 @@ def test_a_full_disk_does_not_end_the_session(start, tmp_path, monkeypatch):
         "not_recorded"
     ]
     scans = [scanned(each) for each in tmp_path.glob("run*.mcap")]
-    assert all(not scan.figures.holes for scan, _, _ in scans)
+    assert all(not scan.metrics.holes for scan, _, _ in scans)
     total = Counter(each.channel.topic for _, messages, _ in scans for each in messages)
     assert total == kept(report)
 

@@ -10,8 +10,8 @@ from running_session import RunningSession, assert_sound, eventually
 from upkeep_programs import PROGRAM, WORKS, make, running
 
 from pipelines.link.key_files import make_key, read_key
-from pipelines.upkeep.desk import DiskStore
 from pipelines.upkeep.loader_keeper import LoaderKeeper
+from pipelines.upkeep.requests import DiskStore
 from pipelines.upkeep.version_keeper import VersionKeeper
 from telepresence.upkeep.app_loader import Copy, note_worked
 from telepresence.upkeep.file_store import read_folder, replace_file
@@ -43,11 +43,11 @@ def listed(folder):
 def ends(tmp_path_factory):
     """A session with files and both keepers, which watch the folders that files come into."""
     top = tmp_path_factory.mktemp("update")
-    trace, key, stranger = top / "trace", top / "key.pem", top / "stranger.pem"
+    trace, key, unknown = top / "trace", top / "key.pem", top / "unknown sender.pem"
     trace.touch()
     versions, storages, space = top / "versions", top / "storages", top / "ends" / "space"
     identity = make_key(key).identity
-    make_key(stranger)
+    make_key(unknown)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TRACE", str(trace))
         keeper = VersionKeeper(versions, {identity}, print)
@@ -112,7 +112,7 @@ class Ends:
 def test_a_version_comes_across_a_loss_of_signal_and_starts_after_the_experiment(ends):
     # It takes 15 s, so that a slow machine can begin the loss of signal before its end.
     ends.pack_version("v2", PROGRAM, ballast=Random(1).randbytes(28_000))
-    ends.pack_version("foreign", PROGRAM, key=ends.top / "stranger.pem")
+    ends.pack_version("foreign", PROGRAM, key=ends.top / "unknown sender.pem")
     sent = [ends.put("link/v2.tar.gz")]
     sent[0].until("running")
     assert ends.session.ask("trainer", "los", "2").returncode == 0

@@ -34,7 +34,7 @@ def test_all_that_was_recorded_is_sent_and_nothing_is_coded(replay, recording):
     assert code == 0, (session.errors(), report["failures"])
     session.assert_nothing_left()
     assert_sound(report)
-    end_ns = recording.facts.session_ns + 9_000_000_000
+    end_ns = recording.capabilities.session_ns + 9_000_000_000
     for name in ("uplink_video", "downlink_video"):
         units = [unit for unit in recording.units[name] if unit.capture_ns < end_ns]
         stream = report["streams"][name]

@@ -19,8 +19,13 @@ from kontur_av.codecs.h26x import H264Decoder
 from pipelines.hand.hand_topics import unpack_status
 from pipelines.mission.tmtc_messages import SendK2aci
 from pipelines.mission.tmtc_socket import send_to_tmtc
-from pipelines.recording.facts import FACTS, RecordingFacts
-from pipelines.recording.messages import RecordedPicture, UnitFacts, unpack, unpack_haptics
+from pipelines.recording.metadata import CAPABILITIES, RecordingMetadata
+from pipelines.recording.recorded_messages import (
+    RecordedPicture,
+    UnitMetadata,
+    unpack,
+    unpack_haptics,
+)
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.ros2.publications import publications_of, sources_of
 from pipelines.session.setup.segments import Segment
@@ -54,26 +59,26 @@ class Recorded:
     """A recording: octets by channel and wall time."""
 
     def __init__(self, path):
-        self.channels, self.facts = {}, None
+        self.channels, self.capabilities = {}, None
         for item in Scan(memoryview(path.read_bytes())).items():
             if isinstance(item, FoundMessage):
                 channel = self.channels.setdefault(item.channel.topic, {})
                 channel.setdefault(item.message.log_time, item.message.data)
-            elif isinstance(item, Metadata) and item.name == FACTS:
-                self.facts = RecordingFacts.of(item.metadata)
+            elif isinstance(item, Metadata) and item.name == CAPABILITIES:
+                self.capabilities = RecordingMetadata.of(item.metadata)
 
     def units(self, channel):
         """The access units of a channel by wall time, without key pictures that it added."""
-        facts, found = self.channels[f"{channel}/facts"], {}
+        capabilities, found = self.channels[f"{channel}/facts"], {}
         for at_ns, octets in self.channels[channel].items():
-            told = unpack(UnitFacts, facts[at_ns])
+            told = unpack(UnitMetadata, capabilities[at_ns])
             if not told.added:
                 found[at_ns] = unpack(RecordedPicture, octets).data[-told.octets :]
         return found
 
     def blocks(self, channel):
         """Cycles of the hand by the wall time of the last one in each block."""
-        offset_ns = self.facts.wall_ns - self.facts.session_ns
+        offset_ns = self.capabilities.wall_ns - self.capabilities.session_ns
         rows = map(unpack_haptics, self.channels[channel].values())
         return {int(block["time_ns"][-1]) + offset_ns: block for block in rows}
 
@@ -203,7 +208,9 @@ def test_a_node_sees_the_recorded_pictures_of_a_camera(run):
 
 def test_a_node_hears_chat_setup_and_diagnostics(run):
     assert {one["data"] for one in run.messages["/kontur_av/chat"]} == {"cosmonaut: Здесь хорошо"}
-    assert [one["data"] for one in run.messages[run.setup_topic]] == [run.recorded.facts.setup_toml]
+    assert [one["data"] for one in run.messages[run.setup_topic]] == [
+        run.recorded.capabilities.setup_toml
+    ]
     status = run.messages["/diagnostics"][-1]["status"]
     first = [one["status"][0] for one in run.messages["/diagnostics"]]
     assert (0, "well") in {(one["level"], one["message"]) for one in first}

@@ -1,4 +1,4 @@
-"""Partners over real sockets on this machine: WHIP and WHEP, restart of ICE, strangers."""
+"""Partners over real sockets on this machine: WHIP and WHEP, restart of ICE, unknown senders."""
 
 import asyncio
 import contextlib

@@ -30,7 +30,7 @@ class Watched:
         }
 
     def kill(self, name):
-        """Kill a process; wait until its next life says what it does."""
+        """Kill a process; wait until its next start says what it does."""
         os.kill(self.pids[name], signal.SIGKILL)
         before = {*self.pids.values()}
         (self.pids[name],) = eventually(

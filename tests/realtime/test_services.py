@@ -5,7 +5,7 @@ import socket
 import socketserver
 import threading
 
-from running_session import PATIENCE_S, RunningSession, assert_sound, eventually, tcp_port
+from running_session import TIMEOUT_S, RunningSession, assert_sound, eventually, tcp_port
 
 OCTETS = bytes(range(256)) * 8
 HOST = "127.0.0.1"
@@ -33,7 +33,7 @@ def serving(handler):
 
 
 def connected(port):
-    return socket.create_connection((HOST, port), timeout=PATIENCE_S)
+    return socket.create_connection((HOST, port), timeout=TIMEOUT_S)
 
 
 def read(link, octets):
@@ -74,7 +74,7 @@ def test_programs_use_services_and_a_loss_of_signal_cuts_them_off(tmp_path):
                 assert read(first, 1) == read(second, 1) == b""
             # The conversation, and those that were cut off.
             for _ in range(3):
-                assert echo.left.acquire(timeout=PATIENCE_S)
+                assert echo.left.acquire(timeout=TIMEOUT_S)
             eventually(lambda: converse(ports["second"]), "a conversation in the next contact")
             # The picture comes later, and a session that ends before has failed.
             session.wait_for_flow()

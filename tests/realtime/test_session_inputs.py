@@ -41,11 +41,11 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
     media = {port for row in rows if row.sender for port in (row.entry_port, row.exit_port)}
     for port in media:
         # Nobody listens to this sender: the kernel drops what it sends, and tells it so.
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-            stranger.connect(("127.0.0.1", port))
-            stranger.send(b"\x80")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unknown:
+            unknown.connect(("127.0.0.1", port))
+            unknown.send(b"\x80")
             with pytest.raises(ConnectionRefusedError):
-                stranger.send(b"\x80")
+                unknown.send(b"\x80")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         for index, datagram in enumerate(datagrams):
             for port in range(session.base_port, session.base_port + PORTS):
@@ -64,7 +64,7 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
         assert link["refused"]["garbage"] == link["refused"]["haptic_length"] == 0
     for end, gateway in report["gateways"].items():
         # Only datagrams of the other gateway are parsed.
-        assert gateway["strangers"]["radio"] > 0, end
+        assert gateway["unknown_senders"]["radio"] > 0, end
     for name, stream in report["streams"].items():
         assert stream["garbage"] == 0, name
     for name, haptic in report["haptic"].items():
@@ -103,7 +103,7 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
     session = start(
         "spacejustin",
         "--source", f"head=pipe:{fifo}",
-        "--source", f"iss_camera={film}",
+        "--source", f"operator_camera={film}",
         "--source", f"ground_mic={voice}",
     )  # fmt: skip
     session.pids()

@@ -24,8 +24,8 @@ WITNESS = {
     "stereo": "camera/stereo",
     "selector": SELECTED_TOPIC,
     "ground_mic": "input/ground_mic",
-    "iss_camera": "input/iss_camera",
-    "iss_mic": "input/iss_mic",
+    "operator_camera": "input/operator_camera",
+    "operator_mic": "input/operator_mic",
     **{f"camera_{name}": f"input/{name}" for name in ("left", "right", "head")},
 }
 #: Streams whose end is seen only in the line of figures.

@@ -24,7 +24,7 @@ from pipelines.cli import main
 CLOCK = MonotonicClock()
 SIZE = (64, 48)
 #: Protects against a hang; no result of a test depends on it.
-PATIENCE_NS = 60 * NS_PER_S
+TIMEOUT_NS = 60 * NS_PER_S
 
 
 def y4m_header(width, height, colour="420jpeg", rate="30:1"):
@@ -59,7 +59,7 @@ def opened(path, size=SIZE, fps=30, clock=CLOCK):
                         clock=clock)  # fmt: skip
 
 
-def levels(source, count, size=SIZE, timeout_ns=PATIENCE_NS):
+def levels(source, count, size=SIZE, timeout_ns=TIMEOUT_NS):
     picture, result = empty_picture(*size), []
     for _ in range(count):
         stamp = source.read(picture, timeout_ns)
@@ -103,7 +103,7 @@ def test_the_writer_leaves_and_returns_with_another_size(fifo):
     assert "writer has gone" in source.last_fault
     second = write_later(fifo, [y4m_header(128, 48), y4m_picture(128, 48, 200)])
     picture = empty_picture(*SIZE)
-    assert source.read(picture, PATIENCE_NS).sequence == 1
+    assert source.read(picture, TIMEOUT_NS).sequence == 1
     assert (planes(picture)[0][:12] == 16).all()
     assert abs(int(planes(picture)[0][24, 32]) - 200) < 3
     second.join()
@@ -171,7 +171,7 @@ def test_a_camera_gives_its_newest_picture_and_ends_in_time():
     picture = "testsrc=size=128x48:rate=30,realtime"
     camera = CameraVideo("head", 64, 48, 30, CLOCK, picture, demuxer="lavfi")
     picture = empty_picture(*SIZE)
-    stamps = [camera.read(picture, PATIENCE_NS) for _ in range(5)]
+    stamps = [camera.read(picture, TIMEOUT_NS) for _ in range(5)]
     assert [s.sequence for s in stamps] == list(range(5))
     assert all(a.capture_ns < b.capture_ns for a, b in itertools.pairwise(stamps))
     assert (planes(picture)[0][:12] == 16).all()
@@ -208,7 +208,7 @@ def alsa_file(tmp_path, monkeypatch):
 def test_a_microphone_gives_blocks_of_20_ms(alsa_file):
     check_spec(alsa_file, "audio")
     source = open_audio(alsa_file, name="ground_mic", clock=CLOCK)
-    blocks = [source.read(PATIENCE_NS) for _ in range(10)]
+    blocks = [source.read(TIMEOUT_NS) for _ in range(10)]
     assert {b.samples.shape for b in blocks} == {(960,)}
     assert [b.stamp.sequence for b in blocks] == list(range(10))
     assert max(np.abs(b.samples).max() for b in blocks) > 8_000
@@ -217,9 +217,9 @@ def test_a_microphone_gives_blocks_of_20_ms(alsa_file):
 
 def test_a_microphone_that_disappears_is_opened_again(alsa_file):
     source = open_audio(alsa_file, name="ground_mic", clock=CLOCK)
-    assert source.read(PATIENCE_NS) is not None
+    assert source.read(TIMEOUT_NS) is not None
     source._process.kill()
-    end_ns, seen = CLOCK.now_ns() + PATIENCE_NS, None
+    end_ns, seen = CLOCK.now_ns() + TIMEOUT_NS, None
     while source.faults == 0 and CLOCK.now_ns() < end_ns:
         source.read(100 * NS_PER_MS)
     assert source.faults == 1
@@ -276,6 +276,8 @@ def test_a_device_without_a_clock_is_held_to_real_time(recorder):
 
 
 def test_a_session_with_a_missing_microphone_is_refused_before_it_starts(capsys):
-    assert main(["stream", "--setup", "spacejustin", "--source", "iss_mic=alsa:nosuchcard"]) == 2
+    assert (
+        main(["stream", "--setup", "spacejustin", "--source", "operator_mic=alsa:nosuchcard"]) == 2
+    )
     (line,) = capsys.readouterr().err.splitlines()
     assert "nosuchcard" in line

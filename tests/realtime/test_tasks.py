@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from running_session import alive, eventually, restarted
 
 from pipelines.hand.haptic_trace import DEAD_MAN
-from pipelines.recording.messages import unpack_haptics
+from pipelines.recording.recorded_messages import unpack_haptics
 from pipelines.session.mission_messages import ExperimentShown, RobotStatus, unpack
 from pipelines.session.topology import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
 
@@ -114,13 +114,13 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
         assert watched.see(ExperimentShown).run == 2
         kill(session, pids, "panel")
         watched.wait_for_telepresence(2)
-        # The controller goes on without the kernel, whose next life switches the robot off.
-        life = watched.see(RobotStatus).life
+        # The controller goes on without the kernel, whose next start switches the robot off.
+        boot_id = watched.see(RobotStatus).boot_id
         kill(session, pids, "tasks")
         row = watched.wait_for_result(2)
         assert (row.result, row.reason) == ("aborted", "the task's process was restarted")
         eventually(lambda: not watched.see(RobotStatus).powered, "the robot without power")
-        assert watched.see(RobotStatus).life == life
+        assert watched.see(RobotStatus).boot_id == boot_id
         listed = session.ask("task", "list").stdout
         assert "run 2 roam: aborted: the task's process was restarted" in listed
         eventually(lambda: watched.see(ExperimentShown).run == 3, "run 3")

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 import pytest
-from common import PATIENCE_S
+from common import TIMEOUT_S
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
@@ -178,33 +178,33 @@ def _hold_for_ever(session):
             held.append(reader.latest())
 
 
-def _tell_what_arrives(session, tell):
+def _tell_what_arrives(session, publish):
     reader = TopicBus(session).reader("pictures")
     while True:
         # A writer that starts under an emulated processor may take longer.
         if reader.wait(LONG_NS) and (lease := reader.latest()):
             with lease:
-                tell.send(lease.stamp.sequence)
+                publish.send(lease.stamp.sequence)
 
 
 def test_a_killed_writer_and_a_killed_reader_leave_the_others_running(session):
     """More kills than allowed writers at once: resources of killed processes are freed."""
     # Not forked: this process has had a bus, and a child would inherit its locks.
     spawn = multiprocessing.get_context("spawn")
-    told, tell = spawn.Pipe(duplex=False)
+    told, publish = spawn.Pipe(duplex=False)
 
     def start(work, *arguments):
         process = spawn.Process(target=work, args=(session, *arguments), daemon=True)
         process.start()
         return process
 
-    running = [start(_tell_what_arrives, tell)]
+    running = [start(_tell_what_arrives, publish)]
     try:
         for _ in range(5):
             running += [start(_hold_for_ever), start(_publish_for_ever)]
             seen = []
             while len(seen) < 20:
-                assert told.poll(PATIENCE_S), "no more samples arrive"
+                assert told.poll(TIMEOUT_S), "no more samples arrive"
                 seen.append(told.recv())
             assert seen[-1] > seen[-10]
             for _ in range(2):

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
-from common import PATIENCE_S, repeats
+from common import TIMEOUT_S, repeats
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
@@ -67,28 +67,28 @@ def stamp(sequence):
     return CaptureStamp(0, sequence, "x")
 
 
-def _acknowledge_each(session, tell, depth):
+def _acknowledge_each(session, publish, depth):
     """Wait right after each sample, just when the next one is published."""
     bus = TopicBus(session)
     reader = bus.reader("numbers", depth=depth)
     waiter = bus.waiter([reader]) if depth > 1 else None
-    tell.send_bytes(b"ready")
+    publish.send_bytes(b"ready")
     while waiter.wait(LONG_NS) if waiter else reader.wait(LONG_NS):
         while (lease := reader.next()) is not None:
             sequence = lease.octets()
             lease.release()
-            tell.send_bytes(sequence)
-    tell.send_bytes(b"not woken")
+            publish.send_bytes(sequence)
+    publish.send_bytes(b"not woken")
 
 
 def test_no_wakeup_is_lost_in_thousands(session, start):
     ends = []
     for depth in (1, 4):
-        told, tell = PROCESSES.Pipe(duplex=False)
-        start(_acknowledge_each, tell, depth)
+        told, publish = PROCESSES.Pipe(duplex=False)
+        start(_acknowledge_each, publish, depth)
         ends.append(told)
     for told in ends:
-        assert told.poll(PATIENCE_S)
+        assert told.poll(TIMEOUT_S)
         assert told.recv_bytes() == b"ready"
     with TopicBus(session) as bus:
         writer = bus.writer("numbers", max_octets=8)
@@ -96,13 +96,13 @@ def test_no_wakeup_is_lost_in_thousands(session, start):
             number = sequence.to_bytes(8)
             writer.publish_octets(number, stamp(sequence))
             for told in ends:
-                assert told.poll(PATIENCE_S), f"asleep since {sequence}"
+                assert told.poll(TIMEOUT_S), f"asleep since {sequence}"
                 assert told.recv_bytes() == number
 
 
-def _sleep_for_ever(session, tell):
+def _sleep_for_ever(session, publish):
     reader = TopicBus(session).reader("numbers")
-    tell.send_bytes(b"ready")
+    publish.send_bytes(b"ready")
     while reader.wait(LONG_NS):
         reader.latest().release()
 
@@ -113,10 +113,10 @@ def test_readers_killed_while_waiting_cost_others_no_wakeup(session, start):
         writer, reader = bus.writer("numbers", max_octets=8), bus.reader("numbers")
         waiter = bus.waiter([reader])
         for sequence in range(4):
-            told, tell = PROCESSES.Pipe(duplex=False)
-            victims = [start(_sleep_for_ever, tell) for _ in range(3)]
+            told, publish = PROCESSES.Pipe(duplex=False)
+            victims = [start(_sleep_for_ever, publish) for _ in range(3)]
             for _ in victims:
-                assert told.poll(PATIENCE_S)
+                assert told.poll(TIMEOUT_S)
                 told.recv_bytes()
             for victim in victims:
                 victim.kill()

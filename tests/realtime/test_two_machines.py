@@ -88,7 +88,7 @@ def test_a_session_on_two_machines_outlives_kills_a_cut_cable_and_a_new_address(
     hosts.cut("space")
     for running in ends.values():
         eventually(lambda end=running: is_silent(end), "the loss of signal")
-    hosts.mend("space")
+    hosts.fix("space")
     flowing("the cable of space out", time.monotonic())
     hosts.move_space()
     flowing("the address of space changed", time.monotonic())

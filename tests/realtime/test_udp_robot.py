@@ -63,17 +63,17 @@ def test_the_robot_in_c_passes_its_check_with_a_key(controller, tmp_path):
     controller("robot", port, key)
     device = load_robot(f"udp:127.0.0.1:{port}:{key}")
     results = list(RobotCheck(device, MonotonicClock()).run())
-    assert device.facts.name == "a mass in C"
+    assert device.capabilities.name == "a mass in C"
     # How long its calls take, and how old a reading is, is the machine's affair.
     failed = {
-        figure.name for one in results for figure in one.figures if one.trouble or not figure.passed
+        figure.name for one in results for figure in one.metrics if one.trouble or not figure.passed
     }
     assert failed <= {"its calls, p99.9", "same in motion", "steps"}
     assert not [one.trouble for one in results if one.trouble]
     assert "silence" in [one.name for one in results]
-    figures = device.figures()
-    assert figures.udp_sessions >= 1
-    assert figures.udp_foreign == figures.udp_malformed == 0
+    metrics = device.metrics()
+    assert metrics.udp_sessions >= 1
+    assert metrics.udp_foreign == metrics.udp_malformed == 0
 
 
 def test_a_session_outlives_its_robots_controller(start, controller, tmp_path, monkeypatch):

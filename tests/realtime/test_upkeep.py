@@ -15,7 +15,7 @@ from running_session import tcp_port
 from upkeep_programs import COMMAND, command, make, running
 
 from pipelines.link.key_files import make_key
-from pipelines.upkeep.desk import DiskStore
+from pipelines.upkeep.requests import DiskStore
 from telepresence.upkeep.app_loader import Copy, note_worked
 from telepresence.upkeep.manifest import fault_of
 

@@ -16,7 +16,7 @@ from pipelines.session.access import MOST_WATCHING, AccessError
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.web_site import WebSite
 
-PATIENCE_S = 90
+TIMEOUT_S = 90
 GARBAGE = b"garbage"
 
 
@@ -35,7 +35,7 @@ async def served(words):
     async def close():
         pass
 
-    async with asyncio.timeout(PATIENCE_S), site.served("test", handle, close):
+    async with asyncio.timeout(TIMEOUT_S), site.served("test", handle, close):
         yield f"http://127.0.0.1:{port}", site
 
 
@@ -132,7 +132,7 @@ async def serving(message=None):
     await runner.setup()
     await web.TCPSite(runner, "127.0.0.1", 0).start()
     try:
-        async with aiohttp.ClientSession() as client, asyncio.timeout(PATIENCE_S):
+        async with aiohttp.ClientSession() as client, asyncio.timeout(TIMEOUT_S):
             yield server, client, f"http://127.0.0.1:{runner.addresses[0][1]}/"
     finally:
         await runner.cleanup()

@@ -13,7 +13,12 @@ from running_session import RunningSession, assert_sound, eventually, free_pair,
 from yamcs import Yamcs, milliseconds, new_instance, value_of
 
 from pipelines.recording.joined import JoinedRecording, read_part
-from pipelines.recording.messages import SPACE_PACKET, RecordedFrames, RecordedPacket, unpack
+from pipelines.recording.recorded_messages import (
+    SPACE_PACKET,
+    RecordedFrames,
+    RecordedPacket,
+    unpack,
+)
 from telepresence.link.frame import COUNT_MODULUS
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import is_packet
@@ -145,7 +150,7 @@ def run(tmp_path_factory):
             # What was sent a second before has come.
             end_ms = now_ms - 1000
         with Yamcs(ground, http) as yamcs:
-            # Its counts begin anew, so that this is the very telecommand of its last life.
+            # Its counts begin anew, so that this is the very telecommand of its last start.
             eventually(yamcs.is_linked, "the connection of the restarted YAMCS")
             again = yamcs.do("joystick_calibrate")
             code, report = session.interrupt()
@@ -160,7 +165,7 @@ def test_telecommands_are_verified_or_refused_where_they_belong(run):
         told = run.told[name]
         message = told.get("CommandComplete_Message")
         assert [told[f"{stage}_Status"] for stage in STAGES] == ["OK"] * 4, (name, message)
-    # The joystick is in use, and says so in its report; also to the next life of YAMCS.
+    # The joystick is in use, and says so in its report; also to the next start of YAMCS.
     for told in (run.first, run.again):
         assert told["Verifier_Accepted_Status"] == "OK"
         assert "not in the state application" in told["CommandComplete_Message"]

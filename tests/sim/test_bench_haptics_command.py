@@ -7,7 +7,7 @@ from mcap.reader import make_reader
 
 from benchmarks.__main__ import main
 from benchmarks.haptics.cell import read_cell
-from benchmarks.haptics.figures import figures
+from benchmarks.haptics.haptics_metrics import metrics
 from benchmarks.haptics.run import COLUMNS, run_cell
 
 CELL = ["--cell", "delay=100", "--jobs", "1"]
@@ -25,7 +25,7 @@ class Robot(RobotController):
 """
 
 
-def test_the_command_writes_its_figures(tmp_path, capsys):
+def test_the_command_writes_its_metrics(tmp_path, capsys):
     report = tmp_path / "h.json"
     bare = ["--cell", "delay=100,passive=off"]
     assert main(["haptics", *CELL, *bare, "--report", str(report)]) == 0
@@ -48,7 +48,7 @@ def test_a_controller_that_makes_energy_breaks_the_claims(tmp_path, monkeypatch,
     assert "NO" in capsys.readouterr().out
 
 
-def test_a_trace_is_read_back_with_units_and_bears_its_figures(tmp_path):
+def test_a_trace_is_read_back_with_units_and_bears_its_metrics(tmp_path):
     text = "delay=30,loss=5,wall=500,angle=90"
     assert main(["haptics", "--cell", text, "--traces", str(tmp_path), "--jobs", "1"]) == 0
     (path,) = tmp_path.glob("*.mcap")
@@ -66,6 +66,6 @@ def test_a_trace_is_read_back_with_units_and_bears_its_figures(tmp_path):
         assert np.allclose([row[name] for _, row in read], course[name], rtol=1e-6, atol=1e-9)
     assert about["cell"]["hand"] == "soft"
     assert (about["cell"]["wall"], about["cell"]["seed"]) == ("500.0", "1")
-    assert about["figures"]["felt_first"] == str(figures(cell, planned, course).felt_first)
+    assert about["figures"]["felt_first"] == str(metrics(cell, planned, course).felt_first)
     assert read[-1][1]["commands_lost"] > 100
     assert read[-1][1]["command_delay"] == 15.0

@@ -46,15 +46,15 @@ def test_a_lossy_run_is_reproducible_and_complete(track):
     assert 0.7 * first.lost * 20e6 <= first.made_up_ns <= (first.lost + 5) * 20e6
 
 
-def test_the_command_writes_its_figures(tmp_path, capsys, monkeypatch):
+def test_the_command_writes_its_metrics(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(voice, "_LOSSES", (0.0, 0.1))
     report, plot = tmp_path / "v.json", tmp_path / "v.png"
     options = ["--seconds", "1", "--no-live", "--report", str(report), "--plot", str(plot)]
     assert main(["voice", *options]) == 0
-    figures = json.loads(report.read_text())["voice"]
-    assert set(figures) == {"8 kbit/s", "64 kbit/s"}
-    assert all(len(rows) == 3 for rows in figures.values())
-    for row in (row for rows in figures.values() for row in rows):
+    metrics = json.loads(report.read_text())["voice"]
+    assert set(metrics) == {"8 kbit/s", "64 kbit/s"}
+    assert all(len(rows) == 3 for rows in metrics.values())
+    for row in (row for rows in metrics.values() for row in rows):
         assert row["mouth_to_ear_ms"]["p99"] <= 60
         assert (row["pesq"] is not None) == voice.pesq_is_there()
     assert "no GStreamer: left out by --no-live" in capsys.readouterr().out

@@ -7,7 +7,7 @@ import pytest
 from kontur_av.clock import NS_PER_S
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.media.gain import LinkedVideoSender, gain_of
-from pipelines.media.stream_figures import video_sender
+from pipelines.media.stream_metrics import video_sender
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.simulate import simulate
 

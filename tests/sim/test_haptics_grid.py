@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.haptics.cell import MODES, Cell, read_cell
 from benchmarks.haptics.claims import claims, needed
-from benchmarks.haptics.figures import STEP_N, CellFigures, figures, vectors
 from benchmarks.haptics.hands import HANDS, BenchHand
+from benchmarks.haptics.haptics_metrics import STEP_N, CellMetrics, metrics, vectors
 from benchmarks.haptics.run import run_cell
 from telepresence.haptics.hand import HandModel
 from telepresence.haptics.joystick_controller import JoystickController
@@ -17,11 +17,11 @@ from telepresence.haptics.sample import Feedback
 MS = 1_000_000
 
 
-def ran(cell: Cell, seed: int = 1) -> CellFigures:
-    return figures(cell, *run_cell(cell, seed=seed))
+def ran(cell: Cell, seed: int = 1) -> CellMetrics:
+    return metrics(cell, *run_cell(cell, seed=seed))
 
 
-def check(found: CellFigures) -> None:
+def check(found: CellMetrics) -> None:
     for claim in claims([found]):
         assert claim.holds, f"{claim.text}: {claim.found}"
 
@@ -158,7 +158,7 @@ def test_a_restart_in_contact_keeps_the_plants_and_the_claims(mode, restart) -> 
     assert lives == (1 + (restart != "robot"), 1 + (restart != "joystick"))
     for name in ("handle_x", "handle_y", "tip_x", "tip_y"):
         assert np.abs(np.diff(course[name])).max() < 1e-3
-    found = figures(cell, planned, course)
+    found = metrics(cell, planned, course)
     assert 50.0 < found.felt_first < 110.0 and 50.0 < found.felt_last < 110.0
     assert found.felt_restart is not None
     check(found)
@@ -203,4 +203,4 @@ def test_an_envelope_asks_for_a_press_after_a_restart() -> None:
     cell = Cell(delay=40.0, wall=1500.0, restart="robot", envelope="on")
     planned, course = run_cell(cell, seed=1)
     assert len(course) * MS > planned.end_ns + 500 * MS
-    assert figures(cell, planned, course).felt_last > 90.0
+    assert metrics(cell, planned, course).felt_last > 90.0

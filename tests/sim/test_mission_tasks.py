@@ -166,7 +166,7 @@ def test_a_task_that_takes_too_long_times_out():
     assert mission.panel.view.words == ("The task took too long. Step 1 of 4 was not done in time.")
     assert is_at_rest(mission)
     # One who never starts is not waited for for ever.
-    mission = Mission(patience_ns=8 * 10**9)
+    mission = Mission(timeout_ns=8 * 10**9)
     mission.cosmonaut.look = lambda *_: None
     assert mission.experiment.select("line", 0) == ""
     assert mission.run(30, until=lambda: mission.runs)

@@ -1,4 +1,4 @@
-"""The samples' robots of MuJoCo on virtual time: SpaceJustin's two arms, and a stranger's arm."""
+"""The samples' robots of MuJoCo on virtual time: SpaceJustin's two arms, and an unknown sender's arm."""
 
 import sys
 from math import hypot
@@ -64,7 +64,7 @@ class Driven:
     """One arm as a `RobotDevice`, in step with the caller."""
 
     def __init__(self, kind, side):
-        self.facts, self._side = kind.facts, side
+        self.capabilities, self._side = kind.capabilities, side
         self._bench, self._order, self._age = Bench(), (BRAKE, (0.0, 0.0)), 0
 
     def configure(self): ...
@@ -133,7 +133,7 @@ def test_hands_that_meet_fast_break_no_limit_of_force():
             0.001, right=(0.06 - 0.25 * met_s, 0.0), left=(0.15 * met_s - 0.06, 0.0)
         )
         most_n = max(most_n, *(hypot(one.push_x_n, one.push_y_n) for one in readings))
-    assert 10.0 < most_n < SpaceJustin.facts.force_limit_n
+    assert 10.0 < most_n < SpaceJustin.capabilities.force_limit_n
 
 
 def test_an_arm_whose_driver_is_silent_brakes():

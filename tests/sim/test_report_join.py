@@ -14,8 +14,8 @@ from pipelines.report import join
 from pipelines.report.collector import Collector
 from pipelines.report.model import EndTrace, SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
-from pipelines.session.figures import INSTANTS, ClockRow
 from pipelines.session.probe import Message, Series
+from pipelines.session.session_metrics import INSTANTS, ClockRow
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topology import Segment
@@ -52,7 +52,7 @@ class Twice(Collector):
     def handle_message(self, process, told, now_ns):
         super().handle_message(process, told, now_ns)
         segment = self.topology.process(process).segment
-        moved = Message(told.figures)
+        moved = Message(told.metrics)
         moved.series = [moved_series(segment, series) for series in told.series]
         self.ends[segment].handle_message(process, moved, own_ns(segment, now_ns))
 
@@ -147,8 +147,8 @@ def test_what_both_ends_know_together_is_what_one_machine_would_have_known(sessi
     lead_ms = whole.video_lead.lead_ms.total
     assert joined.video_lead.lead_ms.total == pytest.approx(lead_ms, rel=0.02)
     assert joined.sync.events == whole.sync.events > 0
-    for sense, figures in whole.sync.senses.items():
-        assert joined.sync.senses[sense].latency_ms == figures.latency_ms, sense
+    for sense, metrics in whole.sync.senses.items():
+        assert joined.sync.senses[sense].latency_ms == metrics.latency_ms, sense
     assert joined.lip_sync.within == pytest.approx(whole.lip_sync.within, abs=0.01)
     assert set(joined.processes) == set(whole.processes)
 

@@ -63,8 +63,8 @@ def test_200_kb_come_down_across_three_contacts_and_take_nothing_from_the_media(
         assert (beside.p50, beside.p99, beside.count) == (before.p50, before.p99, before.count)
     assert report.haptic == plain.haptic
     assert [link.loop.slips for link in report.link.values()] == [0, 0]
-    figures = report.processes[FILES[Segment.SPACE]].counts
-    assert figures["file_octets_sent"] == len(DOWN)
+    metrics = report.processes[FILES[Segment.SPACE]].counts
+    assert metrics["file_octets_sent"] == len(DOWN)
     # Only what was on its way at a loss of signal is sent again.
-    assert figures["file_octets_resent"] < 5_000
-    assert 1_500 < figures["file_suspended_ns"] / NS_PER_MS < 3_000
+    assert metrics["file_octets_resent"] < 5_000
+    assert 1_500 < metrics["file_suspended_ns"] / NS_PER_MS < 3_000

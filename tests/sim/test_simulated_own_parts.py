@@ -33,7 +33,7 @@ def test_the_hand_leads_the_robot_to_its_wall_at_any_delay():
     )
     assert report.simulation.robot == "a mass before a wall"
     assert report.joystick.device == "a lever"
-    assert 1.0 < robot.most_n <= own_robot.Mass.facts.force_limit_n
+    assert 1.0 < robot.most_n <= own_robot.Mass.capabilities.force_limit_n
     assert report.safety.presses == 1
 
 

@@ -30,7 +30,7 @@ def call(session, number, name, *arguments, joystick=False):
 
 def way_m(session, seconds=3):
     """Return how far from its place the tip comes."""
-    robot = session.simulation.robot_desk.control.robot
+    robot = session.simulation.robot_commands.control.robot
     x_m, y_m = robot.x_m, robot.y_m
     farthest_m = 0.0
     for _ in range(seconds * 20):
@@ -62,16 +62,16 @@ def test_power_and_mode_are_commanded_from_space_and_no_hand_leads_it_meanwhile(
 def test_a_broken_limit_is_an_event_and_the_robot_stays_off_until_it_is_reset():
     session = Session(answers=False)
     session.run(3)
-    robot = session.simulation.robot_desk.control.robot
+    robot = session.simulation.robot_commands.control.robot
     robot.vx_m_s = 2.0
     session.run(2)
     (event,) = [one for one in session.of(SPACE, Reported) if one.kind == "event"]
     assert (event.application, event.values) == ("robot", {"error": "speed"})
     assert "reset it first: faster than 1.5 m/s" in call(session, 1, "power_on")
     assert call(session, 2, "reset_error") == ""
-    assert not session.simulation.robot_desk.control.powered
+    assert not session.simulation.robot_commands.control.powered
     assert call(session, 3, "power_on") == ""
-    assert session.simulation.robot_desk.control.telepresent
+    assert session.simulation.robot_commands.control.telepresent
 
 
 def events(session):
@@ -80,15 +80,15 @@ def events(session):
 
 def test_the_joystick_is_halted_tested_and_resumed_and_the_robot_rests_meanwhile():
     session = Session(answers=False, joystick=SimulatedDevice(hand=Hand()))
-    handle, robot = session.simulation.tmtc._handle, session.simulation.robot_desk.control.robot
+    handle, robot = session.simulation.tmtc._handle, session.simulation.robot_commands.control.robot
     while handle.state != JoystickState.APPLICATION and session.now_ns < 30 * 10**9:
         session.run(0.5)
     assert call(session, 1, "halt", joystick=True) == ""
     assert handle.state == JoystickState.HALTED
     session.run(2)
-    place_m = robot.x_m, robot.y_m
+    position_m = robot.x_m, robot.y_m
     session.run(2)
-    assert (robot.x_m, robot.y_m) == pytest.approx(place_m, abs=1e-3)
+    assert (robot.x_m, robot.y_m) == pytest.approx(position_m, abs=1e-3)
     assert events(session)[-2:] == ["state_changed", "off_nominal"]
     assert call(session, 2, "resume", joystick=True) == ""
     assert handle.state == JoystickState.APPLICATION

@@ -6,7 +6,7 @@ from tmtc_session import Session
 
 from pipelines.mission.tmtc import PUS_RATE_BPS
 from pipelines.mission.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
-from pipelines.seats.mission_desk import MissionDesk
+from pipelines.seats.mission_client import MissionClient
 from pipelines.seats.texts import CommandRequest
 from pipelines.session.access import Role
 from pipelines.session.setup.segments import Segment
@@ -73,24 +73,24 @@ def test_housekeeping_of_all_applications_reaches_the_other_end():
 def test_a_page_says_that_a_telecommand_is_unacknowledged_until_the_direction_is_back():
     session = Session(radio=dead("downlink", seconds=10.0))
     ground = Segment.GROUND
-    desk = MissionDesk(ground, built_in_dictionary(), client="page.1")
+    service = MissionClient(ground, built_in_dictionary(), client="page.1")
 
     def heard(news, now_ns):
-        desk.handle_news(news, now_ns)
+        service.handle_news(news, now_ns)
         if isinstance(news, Reported) and news.application == "ground_gateway":
-            desk.handle_signal(news.name != "signal_lost")
+            service.handle_signal(news.name != "signal_lost")
 
     def told():
         """The telecommand's line, and what the page says of the radio."""
-        desk.poll_texts()
-        (line,) = json.loads(desk.texts["commands"])["commands"]
-        return line, json.loads(desk.texts["radio"])["words"]
+        service.poll_texts()
+        (line,) = json.loads(service.texts["commands"])["commands"]
+        return line, json.loads(service.texts["radio"])["words"]
 
     session.tmtc.subscribe(ground, heard)
     session.run(5)
     asked = CommandRequest(request=7, application="joystick", name="halt")
-    assert desk.handle_command(3, Role.SUPERVISOR, asked, session.now_ns) is None
-    session.tmtc.handle_request(ground, desk.poll_transmit(session.now_ns), session.now_ns)
+    assert service.handle_command(3, Role.SUPERVISOR, asked, session.now_ns) is None
+    session.tmtc.handle_request(ground, service.poll_transmit(session.now_ns), session.now_ns)
     session.run(4)
     # Carried out, which nobody on the ground knows.
     assert session.asked == [("joystick", "halt")]
@@ -98,13 +98,13 @@ def test_a_page_says_that_a_telecommand_is_unacknowledged_until_the_direction_is
     assert (line["stage"], line.get("done", False)) == ("unacknowledged", False)
     assert line["tries"] > 2
     assert "Nothing arrives from space: telecommands go out unacknowledged." in radio
-    assert desk.next_event() is None
+    assert service.next_event() is None
     session.run(5)
     assert session.asked == [("joystick", "halt")]
     line, radio = told()
     assert (line["stage"], line["ok"], line["verified"]) == ("completed", True, True)
     assert radio == "Both directions carry."
-    assert desk.next_event()[:3] == (3, 7, "")
+    assert service.next_event()[:3] == (3, 7, "")
     assert session.tmtc.ends[Segment.SPACE].applications["joystick"].executed == 1
 
 

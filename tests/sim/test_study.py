@@ -3,9 +3,9 @@
 import pytest
 
 from pipelines.cli import main
-from pipelines.study.desk import simulate_person
 from pipelines.study.effects import study_report
 from pipelines.study.plan import Aiming, HandleLevels, StudyPlan, Tracking
+from pipelines.study.trials import simulate_person
 
 pytest.importorskip("scipy")
 

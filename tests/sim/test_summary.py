@@ -53,7 +53,7 @@ def test_a_warning_is_a_line_with_its_mend(report, capsys):
     assert end_report(told, None, quiet=False) == 1
     printed = " ".join(capsys.readouterr().out.split())
     assert "failed: clip[red].mp4 is mute" in printed
-    assert "warning: stereo: it was started again once: ended by SIGKILL; mend what" in printed
+    assert "warning: stereo: it was started again once: ended by SIGKILL; fix what" in printed
     assert end_report(told, None, quiet=True) == 1
     quiet = capsys.readouterr()
     assert quiet.out == "" and quiet.err == "failed: clip[red].mp4 is mute\n"

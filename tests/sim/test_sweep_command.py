@@ -15,7 +15,7 @@ from kontur_av.errors import ConfigError
 from pipelines.cli import main
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.campaign import sessions
-from pipelines.virtual.campaign.figures import Crash, SessionTask
+from pipelines.virtual.campaign.campaign_metrics import Crash, SessionTask
 from pipelines.virtual.campaign.sessions import run_session, run_sessions
 
 TASK = SessionTask(setup=BUILT_IN["taskboard"], seconds=1.0, seed=1, media=False)

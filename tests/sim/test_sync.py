@@ -72,10 +72,10 @@ def test_stamps_and_content_agree(honest):
     sync = honest.sync
     assert sync.events >= 5
     for sense, period_ms, share in (("light", 1000 / 30, 0.8), ("click", 0, 0.5), ("force", 0, 1)):
-        figures = sync.senses[sense]
-        assert figures.agrees is True, figures
-        assert figures.perceived >= share * sync.events
-        content, stamps = figures.latency_ms.p50, figures.stamped_latency_ms.p50
+        metrics = sync.senses[sense]
+        assert metrics.agrees is True, metrics
+        assert metrics.perceived >= share * sync.events
+        content, stamps = metrics.latency_ms.p50, metrics.stamped_latency_ms.p50
         assert -2 <= content - stamps <= period_ms + 2
     assert honest.failures == []
 
@@ -93,9 +93,9 @@ def test_skews_by_content_are_those_by_stamps(honest):
     [("light", "uplink_video", 40), ("click", "uplink_voice", 5), ("force", "haptic_up", -5)],
 )
 def test_a_broken_stamp_is_noticed(honest, broken, sense, stream, off_ms):
-    figures = broken.sync.senses[sense]
-    assert figures.agrees is False
+    metrics = broken.sync.senses[sense]
+    assert metrics.agrees is False
     before = honest.sync.senses[sense].stamp_error_ms.p50
-    assert figures.stamp_error_ms.p50 - before == pytest.approx(off_ms, abs=2.5)
+    assert metrics.stamp_error_ms.p50 - before == pytest.approx(off_ms, abs=2.5)
     (line,) = (one for one in broken.failures if one.startswith(stream) and "disagree" in one)
     assert "stamps and content disagree" in line

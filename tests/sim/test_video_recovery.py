@@ -72,10 +72,10 @@ def test_a_loss_without_a_loss_of_signal_heals_after_a_round_trip(tmp_path, show
     hit_ns = round(1.5 * NS_PER_S)
     assert report.streams["uplink_video"].rtp.rtp_lost >= 1
     assert report.processes["uplink_video_send"].counts["feedback_received"] >= 1
-    hurt = [now_ns for _, now_ns, damaged in shown if damaged]
-    assert hurt
-    assert min(hurt) > hit_ns
-    assert max(hurt) - hit_ns < 250 * NS_PER_MS
+    corrupted = [now_ns for _, now_ns, damaged in shown if damaged]
+    assert corrupted
+    assert min(corrupted) > hit_ns
+    assert max(corrupted) - hit_ns < 250 * NS_PER_MS
     # Damaged pictures are shown; the display does not freeze.
     instants = [now_ns for _, now_ns, _ in shown if now_ns > hit_ns - 50 * NS_PER_MS]
     assert np.diff(instants).max() < 150 * NS_PER_MS

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from kontur_av.errors import ProtocolError
-from pipelines.recording.messages import (
+from pipelines.recording.recorded_messages import (
     SAMPLE,
     SCHEMAS,
     CarriedOctets,
@@ -22,14 +22,14 @@ from pipelines.recording.messages import (
     RecordedEvent,
     RecordedExperiment,
     RecordedFigure,
-    RecordedFigures,
     RecordedFrames,
     RecordedLeds,
+    RecordedMetrics,
     RecordedPacket,
     RecordedPicture,
     RecordedSound,
     RecorderLosses,
-    UnitFacts,
+    UnitMetadata,
     pack,
     pack_haptics,
     unpack,
@@ -54,7 +54,7 @@ VECTORS = [
     (
         # 1: 300 = 0x2c + 2 * 128 | 7: 640 = 5 * 128 | 8: 480 = 0x60 + 3 * 128 | 9: 1000
         "08ac02 | 1001 | 2001 | 3001 | 388005 | 40e003 | 48e807",
-        UnitFacts(
+        UnitMetadata(
             capture_ns=300,
             key=True,
             damaged=False,
@@ -142,7 +142,7 @@ VECTORS = [
     ),
     (
         "0801 | 120c 0a0161 11000000000000f83f",
-        RecordedFigures(session_ns=1, figures=(RecordedFigure(name="a", number=1.5, text=""),)),
+        RecordedMetrics(session_ns=1, metrics=(RecordedFigure(name="a", number=1.5, text=""),)),
     ),
 ]
 # Packed: 1 in 8 octets | -1 | 1.0 | -2.0 | 0.5 | 0.0 | 8.0 | state 3, LED 1 lit, contact

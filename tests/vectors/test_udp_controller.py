@@ -7,7 +7,7 @@ import pytest
 
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.udp_protocol import (
-    UdpFacts,
+    UdpCapabilities,
     UdpReading,
     UdpRole,
     code_of,
@@ -57,10 +57,10 @@ MEASURED = UdpReading(
 def test_golden():
     assert session_keys(KEY, OWN, PEER) == (COMMANDS, READINGS)
     assert pack_hello(UdpRole.ROBOT, OWN, KEY) == HELLO
-    nonce, facts = parse_welcome(WELCOME, OWN)
+    nonce, capabilities = parse_welcome(WELCOME, OWN)
     assert nonce == PEER
     half_m = (pytest.approx(0.15), pytest.approx(0.1))
-    assert facts == UdpFacts("Arm é", False, 25.0, 0.5, 0.0, 0.0, 0.0, 4, 2, half_m)
+    assert capabilities == UdpCapabilities("Arm é", False, 25.0, 0.5, 0.0, 0.0, 0.0, 4, 2, half_m)
     assert pack_command(258, 2, 0, (1.5, 0.0, 0.0, -0.25, 0.0, 0.0), COMMANDS) == COMMAND
     assert parse_reading(READING) == MEASURED
     for datagram, key in ((WELCOME, KEY), (READING, READINGS)):

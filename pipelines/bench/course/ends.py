@@ -185,23 +185,23 @@ class Filmed:
     realtime: bool
 
 
-def film_to(clip: Clip, path: str, fps: int, patience_s: float) -> End:
+def film_to(clip: Clip, path: str, fps: int, timeout_s: float) -> End:
     """The camera: write the clip into a FIFO as YUV4MPEG2, each picture at its exact instant.
 
     The capture is at that instant, before the first octet is written. The camera waits up to
-    `patience_s` for a reader, then half a second, and ends by itself after the clip.
+    `timeout_s` for a reader, then half a second, and ends by itself after the clip.
     """
 
     def work(_: Connection) -> Filmed:
-        with _opened_for_writing(path, patience_s) as fd:
+        with _opened_for_writing(path, timeout_s) as fd:
             return _film(clip, fd, fps)
 
     return End("the camera", _FILM_PRIORITY, work)
 
 
 @contextmanager
-def _opened_for_writing(path: str, patience_s: float) -> Iterator[int]:
-    give_up_ns = time.monotonic_ns() + round(patience_s * NS_PER_S)
+def _opened_for_writing(path: str, timeout_s: float) -> Iterator[int]:
+    give_up_ns = time.monotonic_ns() + round(timeout_s * NS_PER_S)
     while True:
         try:
             # Opening fails until there is a reader (fifo(7)).

@@ -35,10 +35,10 @@ from pipelines.bench.course.ends import Carried, Filmed, Watched, carry, film_to
 from pipelines.bench.course.marks import MARK_ROWS, NUMBERS, check_width, read_all, read_number
 from pipelines.bench.video.clips import SCENE, Clip, film, led_in, scene, shared_array
 from pipelines.bench.video.contenders import KONTUR_AV, Contender, ContenderError, Course
-from pipelines.bench.video.figures import (
+from pipelines.bench.video.quality import (
     ALONE,
     OURS,
-    ContenderFigures,
+    ContenderMetrics,
     Luma,
     headlines,
     judge,
@@ -99,14 +99,14 @@ def run(args: argparse.Namespace) -> int:
         except ContenderError as error:
             say(f"{name}: {error}")
             return 1
-        measured = {OURS: trial.figures}
+        measured = {OURS: trial.metrics}
         title = f"{name}, {rate}"
-        for note in notes(OURS, trial.figures):
+        for note in notes(OURS, trial.metrics):
             say(note)
         verdicts = judge(measured, ALONE, args.cap_kbps)
         lines = headlines(title, measured, verdicts)
         console.print(*headline_tables(lines))
-        row = as_json(trial.figures)
+        row = as_json(trial.metrics)
         assert isinstance(row, dict)
         latencies: dict[str, Json] = {"latencies_ms": as_json(trial.latencies_ms)}
         body[name] = {"targets": as_json(verdicts), OURS: row | latencies}
@@ -189,7 +189,7 @@ class Trial:
     when the pictures of those numbers were due there, and the number of the picture shown.
     """
 
-    figures: ContenderFigures
+    metrics: ContenderMetrics
     latencies_ms: list[float]
     shots: dict[int, tuple[int, Luma]]
 
@@ -245,7 +245,7 @@ def measure(
         channel.end()
         watched: Watched = screen.result(10)
         carried: Carried = channel.result(10)
-    return _figures(
+    return _metrics(
         clip,
         terms,
         lumas,
@@ -259,7 +259,7 @@ def measure(
     )
 
 
-def _figures(
+def _metrics(
     clip: Clip,
     terms: TrialTerms,
     lumas: NDArray[np.uint8],
@@ -289,7 +289,7 @@ def _figures(
     unreadable = sum(number is None for number in numbers)
     payload_1s_bps, payload_100ms_bps = largest_bps(carried.came_ns, carried.payload_octets)
     rtp_1s_bps, rtp_100ms_bps = largest_bps(carried.came_ns, carried.octets)
-    figures = ContenderFigures(
+    metrics = ContenderMetrics(
         latency_ms=percentiles(seen.latency_ms),
         psnr_db=summarise([psnr_db(*pair) for pair in compared]),
         ssim=summarise([ssim(*pair) for pair in compared]),
@@ -324,7 +324,7 @@ def _figures(
         index, number = latest(numbers, drawn)
         if number is not None:
             shots[wanted] = (number + wanted - drawn, lumas[index].copy())
-    return Trial(figures, seen.latency_ms, shots)
+    return Trial(metrics, seen.latency_ms, shots)
 
 
 def _numbers(filmed: Filmed, watched: Watched) -> list[int | None]:

@@ -15,7 +15,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import VideoCodec
 from kontur_av.rtp.sdp import parse_sdp, write_sdp
-from pipelines.bench.video.figures import OURS
+from pipelines.bench.video.quality import OURS
 
 _START_S = 30.0
 _STOP_S = 5.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.hand.haptic_trace import ACTED, CONTACT, DEAD_MAN
-from pipelines.recording import messages
+from pipelines.recording import recorded_messages as messages
 from pipelines.recording.joined import FAR_NS, JoinedMessage
 from pipelines.recording.schemas import TIMESTAMP, MessageSchema
 
@@ -206,7 +206,7 @@ _SPECIAL: Mapping[str, Callable[[JoinedMessage], tuple[Any, Rows]]] = {
     messages.HAPTIC_SAMPLES.full_name: _haptics,
     messages.TRANSFER_FRAMES.full_name: _frames,
     messages.LOSSES.full_name: _each_part,
-    messages.FIGURES.full_name: _each_part,
+    messages.METRICS.full_name: _each_part,
 }
 
 

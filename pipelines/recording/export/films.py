@@ -16,12 +16,12 @@ from pipelines.recording.channels import SENT
 from pipelines.recording.export.columns import table_names
 from pipelines.recording.joined import FAR_NS, JoinedMessage, JoinedRecording
 from pipelines.recording.matroska import MatroskaFile
-from pipelines.recording.messages import (
+from pipelines.recording.recorded_messages import (
     AUDIO,
     VIDEO,
     RecordedPicture,
     RecordedSound,
-    UnitFacts,
+    UnitMetadata,
     unpack,
 )
 from pipelines.recording.recording_file import Outputs
@@ -42,11 +42,11 @@ class FilmUnits:
     stream's parameter sets in front of the next unit. Where the part before is there, the stream
     goes on without them. After a gap they stay.
 
-    with_facts: the channel has facts, each directly behind its unit.
+    with_metadata: the channel has facts, each directly behind its unit.
     """
 
-    def __init__(self, *, with_facts: bool) -> None:
-        self._with_facts = with_facts
+    def __init__(self, *, with_metadata: bool) -> None:
+        self._with_metadata = with_metadata
         self._held: tuple[JoinedMessage, bytes] | None = None
         self._codec: VideoCodec = "h264"
         self._newest: int | None = None
@@ -58,26 +58,26 @@ class FilmUnits:
         picture = unpack(RecordedPicture, message.data)
         self._held = message, picture.data
         self._codec = "h265" if picture.format == "h265" else "h264"
-        if not self._with_facts:
+        if not self._with_metadata:
             yield from self.handle_end()
 
-    def handle_facts(self, message: JoinedMessage) -> Iterator[FilmUnit]:
+    def handle_capabilities(self, message: JoinedMessage) -> Iterator[FilmUnit]:
         held = self._held
         try:
-            facts = unpack(UnitFacts, message.data)
+            metadata = unpack(UnitMetadata, message.data)
         except ProtocolError:
             return
         if held is None or held[0].sequence != message.sequence:
             return
-        if facts.added:
+        if metadata.added:
             # Its number is that of the unit before the one that follows.
             self._bridged = self._newest == message.sequence
             if self._bridged:
                 self._held = None
         else:
             picture, data = held
-            if self._bridged and 0 < facts.octets < len(data):
-                self._held = picture, data[-facts.octets :]
+            if self._bridged and 0 < metadata.octets < len(data):
+                self._held = picture, data[-metadata.octets :]
             self._bridged = False
         yield from self.handle_end()
 
@@ -128,7 +128,7 @@ def can_begin(unit: FilmUnit) -> bool:
     return key or recovery_pictures(unit.data, unit.codec) is not None
 
 
-_FACTS = "/facts"
+_METADATA = "/facts"
 _MS_HZ = 1000
 _SOUND_MS = BLOCK_SAMPLES * _MS_HZ // AUDIO_CLOCK_HZ
 
@@ -156,14 +156,14 @@ class MatroskaExport:
         for topic in pictures:
             voice = topic.replace("_video/", "_voice/")
             sound = voice if voice in sounds else None
-            facts = f"{topic}{_FACTS}" in channels
+            metadata = f"{topic}{_METADATA}" in channels
             name = f"{names[topic]}.mkv"
-            self._films.append(Film(directory / name, topic, sound, begin_ns, facts=facts))
+            self._films.append(Film(directory / name, topic, sound, begin_ns, metadata=metadata))
         shown = {film.sound for film in self._films}
         for topic in sounds:
             if topic not in shown:
                 name = f"{names[topic]}.mka"
-                self._films.append(Film(directory / name, None, topic, begin_ns, facts=False))
+                self._films.append(Film(directory / name, None, topic, begin_ns, metadata=False))
         self._takers: dict[str, list[Film]] = {}
         for film in self._films:
             for topic in film.topics:
@@ -197,11 +197,11 @@ class Film:
     """
 
     def __init__(
-        self, path: Path, picture: str | None, sound: str | None, begin_ns: int, *, facts: bool
+        self, path: Path, picture: str | None, sound: str | None, begin_ns: int, *, metadata: bool
     ) -> None:
         self.path = path
         self.picture, self.sound = picture, sound
-        self._units = FilmUnits(with_facts=facts)
+        self._units = FilmUnits(with_metadata=metadata)
         self._picture_clock, self._sound_clock = FilmClock(begin_ns), FilmClock(begin_ns)
         self._file: MatroskaFile | None = None
         #: Sound from before the first picture: all streams are declared before the first packet.
@@ -211,8 +211,8 @@ class Film:
     @property
     def topics(self) -> list[str]:
         """The channels that it takes."""
-        facts = None if self.picture is None else f"{self.picture}{_FACTS}"
-        return [topic for topic in (self.picture, facts, self.sound) if topic is not None]
+        metadata = None if self.picture is None else f"{self.picture}{_METADATA}"
+        return [topic for topic in (self.picture, metadata, self.sound) if topic is not None]
 
     def open(self, path: Path) -> None:
         """Open the file under another name."""
@@ -226,7 +226,7 @@ class Film:
                 self._handle_sound(message)
             else:
                 is_picture = message.topic == self.picture
-                take = self._units.handle_picture if is_picture else self._units.handle_facts
+                take = self._units.handle_picture if is_picture else self._units.handle_capabilities
                 for unit in take(message):
                     self._write_picture(unit)
         except ProtocolError:

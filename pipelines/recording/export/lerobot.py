@@ -34,14 +34,14 @@ from pipelines.recording.export.tables import (
     usual_fps,
 )
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
-from pipelines.recording.messages import HAPTIC_SAMPLES, VIDEO
+from pipelines.recording.recorded_messages import HAPTIC_SAMPLES, VIDEO
 from pipelines.recording.recording_file import Outputs
 from telepresence.haptics.axes import AXIS_NAMES
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_FACTS, _CAMERA = "/facts", "/camera/"
+_METADATA, _CAMERA = "/facts", "/camera/"
 _STREAM = ("/uplink_video/" + SENT, "/uplink_video/" + RECEIVED)
 STATE, FORCE, ACTION = "observation.state", "observation.force", "action"
 #: A camera that has no picture for longer, while the stream carries it, is left out.
@@ -87,7 +87,7 @@ class LeRobotExport:
         videos = [topic for topic, schema in channels.items() if schema == VIDEO.full_name]
         cameras = [topic for topic in videos if topic.startswith(_CAMERA)]
         self._cameras = [
-            _Camera(topic, with_facts=f"{topic}{_FACTS}" in channels)
+            _Camera(topic, with_metadata=f"{topic}{_METADATA}" in channels)
             for topic in (stream, *sorted(cameras))
         ]
         self._takers = {topic: one for one in self._cameras for topic in one.topics}
@@ -124,8 +124,8 @@ class LeRobotExport:
         fps = usual_fps(leading.captures_ns) if self._fps is None else self._fps
         cameras = [leading, *self._gapless(self._cameras[1:], leading.captures_ns)]
         begin_ns = max(hand.begin_ns, *(one.captures_ns[0] for one in cameras))
-        facts = self._recording.facts
-        setup = facts.setup if facts is not None and facts.setup else "telepresence"
+        metadata = self._recording.metadata
+        setup = metadata.setup if metadata is not None and metadata.setup else "telepresence"
         runs = self._tasks.runs() or [Run(setup, begin_ns, None, "")]
         writing = _Writing(self._directory, self._outputs, cameras, hand, fps, setup)
         for run in runs:
@@ -155,20 +155,20 @@ class LeRobotExport:
 class _Camera:
     """The pictures of a channel. They are decoded twice: first to know which there are."""
 
-    def __init__(self, topic: str, *, with_facts: bool) -> None:
+    def __init__(self, topic: str, *, with_metadata: bool) -> None:
         self.topic = topic
         name = topic.removeprefix(_CAMERA).strip("/").split("/")[0]
         self.key, self.instant_key = f"observation.images.{name}", f"capture_ns.{name}"
-        self.topics = [topic, f"{topic}{_FACTS}"] if with_facts else [topic]
+        self.topics = [topic, f"{topic}{_METADATA}"] if with_metadata else [topic]
         self.captures_ns: NDArray[np.int64] = np.zeros(0, np.int64)
         self.size = 0, 0
         self.unreadable = 0
-        self._film = FilmUnits(with_facts=with_facts)
+        self._film = FilmUnits(with_metadata=with_metadata)
         self._units: list[FilmUnit] = []
 
     def handle_message(self, message: JoinedMessage) -> None:
-        facts = message.topic != self.topic
-        take = self._film.handle_facts if facts else self._film.handle_picture
+        metadata = message.topic != self.topic
+        take = self._film.handle_capabilities if metadata else self._film.handle_picture
         try:
             self._units.extend(take(message))
         except ProtocolError:

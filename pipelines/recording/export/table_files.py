@@ -31,7 +31,7 @@ from pipelines.recording.export.columns import (
 )
 from pipelines.recording.export.tables import RECORDING, TableCollector
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
-from pipelines.recording.messages import LINK_SENT
+from pipelines.recording.recorded_messages import LINK_SENT
 from pipelines.recording.recording_file import Outputs
 
 if TYPE_CHECKING:
@@ -184,8 +184,8 @@ def about(recording: JoinedRecording) -> "Variable":
     in ns since 1970 (UTC).
     """
     begin_ns = recording.begin_ns
-    facts = recording.facts
-    told = {} if facts is None else asdict(facts)
+    metadata = recording.metadata
+    told = {} if metadata is None else asdict(metadata)
     for name in ("part", "session_ns", "wall_ns"):
         told.pop(name, None)
     return {

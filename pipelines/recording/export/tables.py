@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ProtocolError
-from pipelines.recording import messages
+from pipelines.recording import recorded_messages as messages
 from pipelines.recording.channels import EVENTS, RECEIVED, SENT
 from pipelines.recording.export.columns import (
     Column,
@@ -23,7 +23,7 @@ from pipelines.recording.export.columns import (
     table_names,
 )
 from pipelines.recording.joined import JoinedMessage
-from pipelines.recording.messages import RecordedPacket, unpack
+from pipelines.recording.recorded_messages import RecordedPacket, unpack
 from pipelines.session.topology import TELECOMMAND, TELEMETRY
 from telepresence.tmtc.k2aci import Numbered, StartTask, TaskFinished, parse_body
 from telepresence.tmtc.pus.node import K2ACI_SERVICE
@@ -37,7 +37,7 @@ _MOST_DELAY_NS = 30 * NS_PER_S
 _INSTANT_BITS = 46
 #: The variable that says where the tables come from.
 RECORDING = "recording"
-_HAPTIC, _FACTS = "/haptic/", "/facts"
+_HAPTIC, _METADATA = "/haptic/", "/facts"
 _LEFT_OUT = {messages.LOG.full_name, messages.TRANSFER_FRAMES.full_name}
 
 Tables = dict[str, Columns]
@@ -87,9 +87,9 @@ class TableCollector:
             tables["commands"] = commands | rows_of_haptics(commands, haptics)
         pictures = {topic for topic in found if self._schemas[topic] == messages.VIDEO.full_name}
         shown = {
-            base if (base := topic.removesuffix(_FACTS)) in pictures else topic: columns
+            base if (base := topic.removesuffix(_METADATA)) in pictures else topic: columns
             for topic, columns in found.items()
-            if topic not in pictures or f"{topic}{_FACTS}" not in found
+            if topic not in pictures or f"{topic}{_METADATA}" not in found
         }
         names = table_names(shown, taken=[*tables, RECORDING])
         return tables | {names[topic]: columns for topic, columns in shown.items()}

@@ -1,6 +1,6 @@
 """A setup by its name, or a user's own from TOML; docs/setups.md has an annotated file. A shell.
 
-A mistake in the file is a ConfigError that names the field and the mend.
+A mistake in the file is a ConfigError that names the field and the fix.
 """
 
 from collections.abc import Mapping

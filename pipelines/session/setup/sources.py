@@ -67,7 +67,7 @@ def check_room(setup: Setup, inputs: Sequence[str], *, pages: bool = False) -> N
     take_descriptors()
     for verdict in (check_descriptors(), check_shared_memory(needed_octets=needed)):
         if verdict.state == "missing":
-            raise ConfigError(f"{verdict.found}: {verdict.mend}")
+            raise ConfigError(f"{verdict.found}: {verdict.fix}")
 
 
 def draw_backgrounds(setup: Setup, inputs: Sequence[str], clock: MonotonicClock) -> None:

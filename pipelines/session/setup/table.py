@@ -37,7 +37,7 @@ from telepresence.world.board import BoardView
 STEREO = "stereo"
 STEREO_INPUTS = ("left", "right")
 
-GROUND_MIC, ISS_CAMERA, ISS_MIC = "ground_mic", "iss_camera", "iss_mic"
+GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC = "ground_mic", "operator_camera", "operator_mic"
 
 VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
 #: Small enough that no part of a coded picture takes more than a picture's share of the link.
@@ -261,7 +261,7 @@ class Setup:
             if self.cameras.count(camera) > 1:
                 raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
             _check_camera(camera)
-            if camera in (GROUND_MIC, ISS_CAMERA, ISS_MIC):
+            if camera in (GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC):
                 raise ConfigError(
                     f"setup {self.name}: camera {camera} has the name of another input; rename it"
                 )
@@ -408,15 +408,15 @@ class Setup:
         return (
             *self.camera_inputs,
             *((GROUND_MIC,) if self.uplink_voice else ()),
-            *((ISS_CAMERA,) if self.downlink_video else ()),
-            *((ISS_MIC,) if self.downlink_voice else ()),
+            *((OPERATOR_CAMERA,) if self.downlink_video else ()),
+            *((OPERATOR_MIC,) if self.downlink_voice else ()),
         )
 
     def kind_of(self, name: str) -> Literal["audio", "video"]:
         """Whether the input `name` is of sound or of pictures; ConfigError if it is unknown."""
         if name not in self.inputs:
             raise ConfigError(f"setup {self.name} has no input {name}")
-        return "audio" if name in (GROUND_MIC, ISS_MIC) else "video"
+        return "audio" if name in (GROUND_MIC, OPERATOR_MIC) else "video"
 
     def source(self, name: str) -> str:
         """The source of the input `name`; ConfigError when it has none."""
@@ -430,7 +430,7 @@ class Setup:
 
     def stream_of(self, camera_input: str) -> VideoStream:
         """The stream whose size and rate the pictures of an input have."""
-        if camera_input == ISS_CAMERA and self.downlink_video is not None:
+        if camera_input == OPERATOR_CAMERA and self.downlink_video is not None:
             return self.downlink_video
         return self.uplink_video
 

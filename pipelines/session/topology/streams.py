@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import (
     GROUND_MIC,
-    ISS_CAMERA,
-    ISS_MIC,
+    OPERATOR_CAMERA,
+    OPERATOR_MIC,
     STEREO,
     STEREO_INPUTS,
     RtcLeg,
@@ -99,8 +99,8 @@ def input_rows(setup: Setup) -> Iterable[InputRow]:
         )
     others = (
         (GROUND_MIC, setup.uplink_voice, Kind.VOICE),
-        (ISS_CAMERA, setup.downlink_video, Kind.VIDEO),
-        (ISS_MIC, setup.downlink_voice, Kind.VOICE),
+        (OPERATOR_CAMERA, setup.downlink_video, Kind.VIDEO),
+        (OPERATOR_MIC, setup.downlink_voice, Kind.VOICE),
     )
     for name, stream, kind in others:
         if stream is not None:

@@ -9,7 +9,7 @@ from pipelines.session.setup.segments import Segment
 
 ROBOT, JOYSTICK = "robot", "joystick"
 #: The arm that only a partner drives, and who hands the robot over.
-SECOND_ROBOT, OWNER_DESK = "robot_second", "owner_desk"
+SECOND_ROBOT, AUTHORITY_SOCKET = "robot_second", "owner_desk"
 #: Telecommands and telemetry of the ground and of space.
 SELECTOR, CONSOLE = "selector", "console"
 #: TOP kernel and experiment, the LED panel, the mission control panel.
@@ -126,12 +126,12 @@ def packet_topics(segment: Segment) -> dict[tuple[str, str], Topic]:
 
 # The radio link.
 def gateway_topic(segment: Segment) -> Topic:
-    """The figures of a segment's gateway: `telepresence.link.figures.GatewayFigures`."""
+    """The figures of a segment's gateway: `telepresence.link.link_metrics.GatewayMetrics`."""
     return Topic(f"figures/{segment.value}", "what the gateway counts, ten times a second")
 
 
 def link_state_topic(segment: Segment) -> Topic:
-    """What telemetry says of a segment's gateway: `pipelines.link.figures.link_values`."""
+    """What telemetry says of a segment's gateway: `pipelines.link.link_metrics.link_values`."""
     return Topic(f"link_state/{segment.value}", "what telemetry says of the gateway")
 
 
@@ -154,7 +154,7 @@ RTC_VIDEO, RTC_SPEECH, RTC_CAMERA, RTC_VOICE = "rtc_video", "rtc_speech", "rtc_c
 RTC_VIDEO_TOPIC = Topic(f"sent/{RTC_VIDEO}", "access unit for the partner")
 RTC_SPEECH_TOPIC = Topic(f"sent/{RTC_SPEECH}", "Opus packet for the partner")
 #: How it is to be coded: rate, and the number of key pictures asked for.
-RTC_WISH_TOPIC = Topic("rtc/wish", "rate and key pictures that the partner asks for")
+RTC_REQUEST_TOPIC = Topic("rtc/wish", "rate and key pictures that the partner asks for")
 #: The partner's access units as they come, before they are decoded.
 RTC_UNITS_TOPIC = Topic("rtc/units", "access unit of the partner")
 #: What came from the partner, as it came and decoded.

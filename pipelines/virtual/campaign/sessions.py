@@ -5,7 +5,7 @@ The process of one is `python -m pipelines.virtual.campaign.sessions REPORT`. It
 ends when that input is closed, so that no session outlives its starter.
 
 With Dask a run goes to some worker, and is done again where a worker dies. A worker does only
-what a machine with the same program and libraries would have done: it compares `facts` before each
+what a machine with the same program and libraries would have done: it compares `capabilities` before each
 run. So results are those of this machine, octet by octet.
 """
 
@@ -37,7 +37,7 @@ from pipelines.report.model import SessionReport, from_json
 from pipelines.report.report_file import write_report
 from pipelines.session.command_process import OwnOutput, end_all, plain
 from pipelines.session.option_rows import add_options
-from pipelines.virtual.campaign.figures import Crash, Result, SessionTask
+from pipelines.virtual.campaign.campaign_metrics import Crash, Result, SessionTask
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.simulate import simulate
 
@@ -61,7 +61,7 @@ def code_digest(packages: tuple[str, ...] = PACKAGES) -> str:
     return digest.hexdigest()[:16]
 
 
-def facts() -> Mapping[str, str]:
+def capabilities() -> Mapping[str, str]:
     """Name and version of each part that two machines must have alike."""
     return {
         "kontur-av": code_digest(),
@@ -94,7 +94,7 @@ class Cluster(Closing):
     def __init__(self, address: str) -> None:
         self._address = address
         self._client = _connected(address)
-        self._facts = facts()
+        self._capabilities = capabilities()
         try:
             self._check_workers()
         except BaseException:
@@ -108,11 +108,11 @@ class Cluster(Closing):
             words = f"it has no worker; start `dask worker {self._address}`"
             raise _refusal(self._address, words) from None
         try:
-            found: Mapping[str, Mapping[str, str]] = self._client.run(facts)
+            found: Mapping[str, Mapping[str, str]] = self._client.run(capabilities)
         except ImportError:
             raise self._without_program() from None
         for worker, theirs in found.items():
-            if differing := _differing(self._facts, theirs):
+            if differing := _differing(self._capabilities, theirs):
                 raise _refusal(self._address, f"worker {worker} has {differing}")
 
     def _without_program(self) -> ConfigError:
@@ -130,7 +130,7 @@ class Cluster(Closing):
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
 
-        run = partial(_run, self._facts, function)
+        run = partial(_run, self._capabilities, function)
         futures = self._client.map(run, tasks, pure=False)
         numbers = {future.key: number for number, future in enumerate(futures)}
         try:
@@ -206,7 +206,7 @@ async def _asked(address: str) -> Mapping[str, str]:
 
 def _run(expected: Mapping[str, str], function: Callable[[_Task], _Result], task: _Task) -> _Result:
     """On a worker, which may have come after `Cluster` looked at all of them."""
-    if differing := _differing(expected, facts()):
+    if differing := _differing(expected, capabilities()):
         raise ConfigError(f"a worker has {differing}")
     return function(task)
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, TypeAlias
 from pipelines.report.charts import COLOURS, new_figure
 from pipelines.report.result import Headline
 from pipelines.session.setup.table import Setup
-from pipelines.virtual.campaign.figures import (
-    FIGURES,
+from pipelines.virtual.campaign.campaign_metrics import (
     HEADINGS,
-    RunFigures,
+    METRICS,
+    RunMetrics,
     SessionTask,
     task_names,
 )
@@ -52,9 +52,9 @@ class Sweep:
     y: str
 
     @property
-    def figures(self) -> list[str]:
+    def metrics(self) -> list[str]:
         tasks = task_names(None if self.plan is None else self.plan[0])
-        return [*(figure.name for figure in FIGURES), *tasks, *self.keys]
+        return [*(figure.name for figure in METRICS), *tasks, *self.keys]
 
     def tasks(self) -> list[SessionTask]:
         """All runs: case by case, and in each its seeds."""
@@ -96,17 +96,17 @@ class SeedSpread:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CaseFigures:
+class CaseMetrics:
     """A case over its seeds. runs: those that are over; usable: those without a fault."""
 
     values: Mapping[str, Value]
     runs: int
     usable: int
     faults: Mapping[str, int]
-    figures: Mapping[str, SeedSpread | None]
+    metrics: Mapping[str, SeedSpread | None]
 
 
-def case_figures(sweep: Sweep, runs: Sequence[RunFigures | None]) -> list[CaseFigures]:
+def case_metrics(sweep: Sweep, runs: Sequence[RunMetrics | None]) -> list[CaseMetrics]:
     """Each case. runs: in the order of `Sweep.tasks`; None for one that is not over."""
     seeds = len(sweep.seeds)
     found = []
@@ -117,42 +117,42 @@ def case_figures(sweep: Sweep, runs: Sequence[RunFigures | None]) -> list[CaseFi
             for fault in run.faults:
                 faults[fault] = faults.get(fault, 0) + 1
         found.append(
-            CaseFigures(
+            CaseMetrics(
                 values=case.values,
                 runs=len(over),
                 usable=sum(not run.faults for run in over),
                 faults=faults,
-                figures={name: _spread(over, name) for name in sweep.figures},
+                metrics={name: _spread(over, name) for name in sweep.metrics},
             )
         )
     return found
 
 
-def _spread(runs: Sequence[RunFigures], name: str) -> SeedSpread | None:
-    values = [value for run in runs if (value := run.figures.get(name)) is not None]
+def _spread(runs: Sequence[RunMetrics], name: str) -> SeedSpread | None:
+    values = [value for run in runs if (value := run.metrics.get(name)) is not None]
     if not values:
         return None
     return SeedSpread(median=round(median(values), 3), least=min(values), largest=max(values))
 
 
-def headings(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[str]:
+def headings(sweep: Sweep, cases: Sequence[CaseMetrics]) -> list[str]:
     """Of the columns of `rows`: no column for a figure that no case has."""
     return [*sweep.fields, *(HEADINGS.get(name, name) for name in _had(sweep, cases)), "verdict"]
 
 
-def rows(sweep: Sweep, cases: Sequence[CaseFigures]) -> Iterator[list[str]]:
+def rows(sweep: Sweep, cases: Sequence[CaseMetrics]) -> Iterator[list[str]]:
     """The cells of each case: a figure's median, with the least and the largest of its seeds."""
     had = _had(sweep, cases)
     for case in cases:
         yield [
             *(_text(case.values.get(name, "")) for name in sweep.fields),
-            *(_cell(case.figures[name]) for name in had),
+            *(_cell(case.metrics[name]) for name in had),
             _verdict(case),
         ]
 
 
-def _had(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[str]:
-    return [name for name in sweep.figures if any(case.figures[name] for case in cases)]
+def _had(sweep: Sweep, cases: Sequence[CaseMetrics]) -> list[str]:
+    return [name for name in sweep.metrics if any(case.metrics[name] for case in cases)]
 
 
 def _cell(spread: SeedSpread | None) -> str:
@@ -167,22 +167,22 @@ def _text(value: Value) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-def _verdict(case: CaseFigures) -> str:
+def _verdict(case: CaseMetrics) -> str:
     if not case.runs:
         return "not run"
     others = "".join(f", {count} {fault}" for fault, count in case.faults.items())
     return f"{case.usable} of {case.runs} usable{others}"
 
 
-def csv_rows(sweep: Sweep, runs: Sequence[RunFigures | None]) -> Iterator[list[Value]]:
+def csv_rows(sweep: Sweep, runs: Sequence[RunMetrics | None]) -> Iterator[list[Value]]:
     """A heading, then each run that is over: fields, seed, figures, verdict."""
-    yield [*sweep.fields, "seed", *sweep.figures, "verdict"]
+    yield [*sweep.fields, "seed", *sweep.metrics, "verdict"]
     seeds = len(sweep.seeds)
     for number, run in enumerate(runs):
         if run is None:
             continue
         values = sweep.cases[number // seeds].values
-        found = [run.figures.get(name) for name in sweep.figures]
+        found = [run.metrics.get(name) for name in sweep.metrics]
         yield [
             *(values.get(name, "") for name in sweep.fields),
             run.seed,
@@ -191,7 +191,7 @@ def csv_rows(sweep: Sweep, runs: Sequence[RunFigures | None]) -> Iterator[list[V
         ]
 
 
-def headlines(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[Headline]:
+def headlines(sweep: Sweep, cases: Sequence[CaseMetrics]) -> list[Headline]:
     """Each case for the page of measurements: usable runs, and the medians of its figures."""
     found = []
     for case in cases:
@@ -206,7 +206,7 @@ def headlines(sweep: Sweep, cases: Sequence[CaseFigures]) -> list[Headline]:
                 met=case.usable == case.runs == len(sweep.seeds),
             )
         )
-        for name, spread in case.figures.items():
+        for name, spread in case.metrics.items():
             if spread is not None:
                 what = f"{HEADINGS.get(name, name)}: median of the runs"
                 found.append(Headline(group=group, what=what, unit="", value=spread.median))
@@ -220,12 +220,12 @@ if TYPE_CHECKING:
 _MOST_NAMED = 16
 
 
-def chart(sweep: Sweep, cases: Sequence[CaseFigures]) -> "Figure":
+def chart(sweep: Sweep, cases: Sequence[CaseMetrics]) -> "Figure":
     """Medians over the seeds, with bars from the least to the largest."""
     x, others = sweep.x_field, [name for name in sweep.fields if name != sweep.x_field]
     curves: dict[str, list[tuple[Value, SeedSpread]]] = {}
     for case in cases:
-        spread = case.figures[sweep.y]
+        spread = case.metrics[sweep.y]
         named = (name for name in others if name in case.values)
         label = ", ".join(f"{name} {case.values[name]}" for name in named)
         if spread is not None and x in case.values:

@@ -1,7 +1,7 @@
 """A sweep as a TOML file describes it: its cases, each a setup of its own. A shell.
 
 docs/simulation.md has an annotated file. A mistake is a ConfigError that names the field and the
-mend.
+fix.
 """
 
 import argparse
@@ -23,16 +23,16 @@ from pipelines.report.report_file import write_result
 from pipelines.session.setup.setup_file import setup_from_table, setup_table
 from pipelines.session.setup.table import (
     GROUND_MIC,
-    ISS_CAMERA,
-    ISS_MIC,
     NO_RADIO,
+    OPERATOR_CAMERA,
+    OPERATOR_MIC,
     STEREO,
     STEREO_INPUTS,
     Setup,
 )
-from pipelines.virtual.campaign.figures import Crash, RunFigures, crashed, run_figures
+from pipelines.virtual.campaign.campaign_metrics import Crash, RunMetrics, crashed, run_metrics
 from pipelines.virtual.campaign.sessions import Progress, cluster_of, code_digest, session_results
-from pipelines.virtual.campaign.sweep import Case, Sweep, Value, case_figures, headlines, task_key
+from pipelines.virtual.campaign.sweep import Case, Sweep, Value, case_metrics, headlines, task_key
 from telepresence.link.radio.profile_file import radio_from_table
 from telepresence.tasks.task_files import load_plan
 from telepresence.toml_file import read_toml, typed
@@ -61,7 +61,7 @@ class _File:
     )
     media: bool = True
     plan: str | None = None
-    figures: tuple[str, ...] = field(
+    metrics: tuple[str, ...] = field(
         default=(), metadata={"like": 'a list of keys of a report, like ["link.uplink.frames"]'}
     )
     plot: _Plot = _Plot()
@@ -109,14 +109,14 @@ def _sweep(path: Path, file: _File) -> Sweep:
         plan=plan,
         cases=tuple(found.values()),
         fields=tuple(dict.fromkeys(name for grid in grids for name in grid)),
-        keys=file.figures,
+        keys=file.metrics,
         x=file.plot.x,
         y=file.plot.y or ("video_p99_ms" if file.media else "force_p99_ms"),
     )
     if sweep.x is not None and sweep.x not in sweep.fields:
         raise ConfigError(f"plot.x is {sweep.x!r}: take one of {', '.join(sweep.fields)}")
-    if sweep.y not in sweep.figures:
-        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(sweep.figures)}")
+    if sweep.y not in sweep.metrics:
+        raise ConfigError(f"plot.y is {sweep.y!r}: take one of {', '.join(sweep.metrics)}")
     return sweep
 
 
@@ -172,7 +172,11 @@ def _built(setup: str, values: Mapping[str, object]) -> Setup:
 
 
 def _inputs(table: Mapping[str, Any]) -> set[str]:
-    others = {"uplink_voice": GROUND_MIC, "downlink_video": ISS_CAMERA, "downlink_voice": ISS_MIC}
+    others = {
+        "uplink_voice": GROUND_MIC,
+        "downlink_video": OPERATOR_CAMERA,
+        "downlink_voice": OPERATOR_MIC,
+    }
     # What is no list is refused when the setup is built.
     cameras = found if isinstance(found := table.get("cameras"), list | tuple) else ()
     names = {str(camera) for camera in cameras}
@@ -214,7 +218,7 @@ _KEEP_EVERY_S = 5.0
 
 
 def run_missing(
-    args: argparse.Namespace, sweep: Sweep, runs: list[RunFigures | None], jobs: int
+    args: argparse.Namespace, sweep: Sweep, runs: list[RunMetrics | None], jobs: int
 ) -> None:
     """Put the figures of each run that is missing into `runs`, and keep them now and then."""
     tasks = sweep.tasks()
@@ -233,7 +237,7 @@ def run_missing(
             runs[missing[place]] = (
                 crashed(task, key, result)
                 if isinstance(result, Crash)
-                else run_figures(task, key, result, sweep.keys)
+                else run_metrics(task, key, result, sweep.keys)
             )
             progress.told(count)
             if monotonic() - kept_s >= _KEEP_EVERY_S:
@@ -241,8 +245,8 @@ def run_missing(
                 kept_s = monotonic()
 
 
-def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunFigures | None]) -> None:
-    cases = case_figures(sweep, runs)
+def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunMetrics | None]) -> None:
+    cases = case_metrics(sweep, runs)
     body = {
         "seconds": sweep.seconds,
         "media": sweep.media,
@@ -252,14 +256,14 @@ def _keep(path: Path | None, sweep: Sweep, runs: Sequence[RunFigures | None]) ->
     write_result(path, body, headlines(sweep, cases))
 
 
-def kept_runs(path: Path | None, sweep: Sweep) -> list[RunFigures | None]:
+def kept_runs(path: Path | None, sweep: Sweep) -> list[RunMetrics | None]:
     """Each run of a sweep, as the report of an earlier one has it; None: crashed, or not there."""
     tasks = sweep.tasks()
     if path is None or not path.is_file() or not path.stat().st_size:
         return [None] * len(tasks)
     try:
         runs = msgspec.convert(
-            json.loads(path.read_text(encoding="utf-8"))["runs"], list[RunFigures]
+            json.loads(path.read_text(encoding="utf-8"))["runs"], list[RunMetrics]
         )
     except (ValueError, KeyError, TypeError):
         raise ConfigError(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.device.device import JoystickDevice, JoystickFacts
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickDevice
 from telepresence.haptics.device.functional_checks import (
     BUTTONS,
     FRICTION,
@@ -24,7 +24,7 @@ from telepresence.haptics.device.script import CheckResult, CheckScript, Output,
 from telepresence.haptics.device.states import JoystickState
 
 #: Every check by its name, in the order in which they run.
-CHECKS: Mapping[str, Callable[[JoystickFacts], CheckScript]] = MappingProxyType(
+CHECKS: Mapping[str, Callable[[JoystickCapabilities], CheckScript]] = MappingProxyType(
     {
         WORKSPACE: workspace_check,
         FRICTION: friction_check,
@@ -74,7 +74,7 @@ class CheckBench:
         output = Output()
         if operation.state is JoystickState.APPLICATION and self._names:
             if self._run is None:
-                self._run = ScriptRun(CHECKS[self._names[0]](operation.facts))
+                self._run = ScriptRun(CHECKS[self._names[0]](operation.capabilities))
             output = self._run.handle_reading(reading, now_ns)
             operation.prompt = output.prompt
             if self._run.result is not None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.axes import AxisFacts
+from telepresence.haptics.axes import AxisCapabilities
 from telepresence.haptics.device.states import JoystickState
 
 #: A joystick that is told no new force keeps the last one for at most this long.
@@ -34,7 +34,7 @@ class JoystickReading(NamedTuple):
     present: bool = True
     error: str = ""
 
-    def place(self, axis: int) -> float:
+    def position(self, axis: int) -> float:
         """Return the position (m) along x for axis 0, along y for axis 1."""
         return self.y_m if axis else self.x_m
 
@@ -44,7 +44,7 @@ class JoystickReading(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class JoystickFacts:
+class JoystickCapabilities:
     """Nominal properties of a joystick; the functional checks compare the device with them.
 
     half_width_m, half_height_m: from the middle of the workspace to its end stops, or to the
@@ -66,7 +66,7 @@ class JoystickFacts:
     buttons: int = 0
     leds: int = 0
     rumble: bool = False
-    more: tuple[AxisFacts, ...] = ()
+    more: tuple[AxisCapabilities, ...] = ()
 
     @property
     def has_force(self) -> bool:
@@ -82,7 +82,7 @@ class JoystickDevice(Protocol):
     """
 
     @property
-    def facts(self) -> JoystickFacts: ...
+    def capabilities(self) -> JoystickCapabilities: ...
 
     def read(self) -> JoystickReading:
         """Return what the sensors measure now."""

@@ -10,11 +10,11 @@ from enum import StrEnum
 from typing import NamedTuple, TypeVar
 
 from kontur_av.clock import NS_PER_S
-from telepresence.haptics.device.device import JoystickFacts
+from telepresence.haptics.device.device import JoystickCapabilities
 from telepresence.haptics.device.functional_checks import (
     each_button,
     friction_check,
-    stiffness_figures,
+    stiffness_metrics,
     workspace_check,
 )
 from telepresence.haptics.device.script import (
@@ -36,7 +36,7 @@ ASIDE_M = 0.03
 #: The largest force while an axis is moved aside (N): a hand holds it back easily.
 _MOVE_N = 4.0
 #: Time that a person has to press or let go.
-PATIENCE_NS = 10 * NS_PER_S
+TIMEOUT_NS = 10 * NS_PER_S
 
 _Result = TypeVar("_Result")
 
@@ -78,20 +78,20 @@ _PARTS = {
 class TestReport(NamedTuple):
     """The newest test. reason: one line, "" if it passed or runs. number: how many have begun.
 
-    figures: what was measured, with limits.
+    metrics: what was measured, with limits.
     """
 
     outcome: Outcome = Outcome.NONE
     part: TestPart = TestPart.NONE
     reason: str = ""
     number: int = 0
-    figures: tuple[Figure, ...] = ()
+    metrics: tuple[Figure, ...] = ()
 
 
-def functional_test(facts: JoystickFacts) -> Script[TestReport]:
+def functional_test(capabilities: JoystickCapabilities) -> Script[TestReport]:
     """Return the script: about 35 s with motors, and what the person takes. `number` is 0."""
     cycle: Cycle = yield IDLE
-    leds = (1 << facts.leds) - 1
+    leds = (1 << capabilities.leds) - 1
     released = Output(prompt="let go of the dead-man button")
     cycle, there = yield from _await_dead_man(cycle, released, wanted=False)
     if not there:
@@ -100,33 +100,33 @@ def functional_test(facts: JoystickFacts) -> Script[TestReport]:
     cycle, there = yield from _await_dead_man(cycle, held, wanted=True)
     if not there:
         return TestReport(Outcome.FAILED, TestPart.DEAD_MAN, "the dead-man button was not pressed")
-    if facts.has_force:
-        result = yield from _while_held(_with_motors(facts), held)
+    if capabilities.has_force:
+        result = yield from _while_held(_with_motors(capabilities), held)
     else:
         asked = held._replace(prompt="hold the dead-man button, and move the stick along its edge")
-        result = yield from _while_held(workspace_check(facts), asked)
+        result = yield from _while_held(workspace_check(capabilities), asked)
     if result is None:
         return TestReport(Outcome.ABORTED, TestPart.DEAD_MAN, "the dead-man button was let go")
     cycle = yield released
     cycle, there = yield from _await_dead_man(cycle, released, wanted=False)
-    found = result.figures
+    found = result.metrics
     if there and not result.trouble:
-        cycle, pressed = yield from each_button(cycle, facts)
+        cycle, pressed = yield from each_button(cycle, capabilities)
         found += tuple(pressed)
     if bad := [figure for figure in found if not figure.passed]:
         figure = bad[0]
-        return TestReport(Outcome.FAILED, _PARTS[figure.unit], _words(figure), figures=found)
+        return TestReport(Outcome.FAILED, _PARTS[figure.unit], _words(figure), metrics=found)
     if result.trouble:
-        return TestReport(Outcome.FAILED, TestPart.PLACE, result.trouble, figures=found)
+        return TestReport(Outcome.FAILED, TestPart.PLACE, result.trouble, metrics=found)
     if not there:
         reason = "the dead-man button was not let go"
-        return TestReport(Outcome.FAILED, TestPart.DEAD_MAN, reason, figures=found)
-    return TestReport(Outcome.PASSED, figures=found)
+        return TestReport(Outcome.FAILED, TestPart.DEAD_MAN, reason, metrics=found)
+    return TestReport(Outcome.PASSED, metrics=found)
 
 
-def _with_motors(facts: JoystickFacts) -> CheckScript:
+def _with_motors(capabilities: JoystickCapabilities) -> CheckScript:
     cycle: Cycle = yield IDLE
-    figures: list[Figure] = []
+    metrics: list[Figure] = []
     for axis in (0, 1):
         for aside_m in (ASIDE_M, -ASIDE_M, 0.0):
             goal = (aside_m, 0.0) if axis == 0 else (0.0, aside_m)
@@ -135,22 +135,22 @@ def _with_motors(facts: JoystickFacts) -> CheckScript:
                 away_x, away_y = goal[0] - cycle.reading.x_m, goal[1] - cycle.reading.y_m
                 stuck = "x" if abs(away_x) > abs(away_y) else "y"
                 trouble = f"axis {stuck} does not move to where it is pushed"
-                return CheckResult(NAME, tuple(figures), trouble)
-        cycle, found = yield from stiffness_figures(cycle, facts, axis)
+                return CheckResult(NAME, tuple(metrics), trouble)
+        cycle, found = yield from stiffness_metrics(cycle, capabilities, axis)
         if found is None:
             trouble = f"axis {'xy'[axis]} does not move to where it is pushed"
-            return CheckResult(NAME, tuple(figures), trouble)
-        figures += found
+            return CheckResult(NAME, tuple(metrics), trouble)
+        metrics += found
     for check in (workspace_check, friction_check):
-        found_more = yield from check(facts)
-        figures += found_more.figures
+        found_more = yield from check(capabilities)
+        metrics += found_more.metrics
         if found_more.trouble:
-            return CheckResult(NAME, tuple(figures), found_more.trouble)
-    return CheckResult(NAME, tuple(figures))
+            return CheckResult(NAME, tuple(metrics), found_more.trouble)
+    return CheckResult(NAME, tuple(metrics))
 
 
 def _await_dead_man(cycle: Cycle, output: Output, *, wanted: bool) -> Script[tuple[Cycle, bool]]:
-    until_ns = cycle.now_ns + PATIENCE_NS
+    until_ns = cycle.now_ns + TIMEOUT_NS
     while cycle.reading.dead_man is not wanted:
         if cycle.now_ns >= until_ns:
             return cycle, False

@@ -133,7 +133,7 @@ class GamepadDevice:
             rumble=FF_RUMBLE in capabilities.get(EV_FF, ()),
             more=axes,
         )
-        self.facts = self._stick.facts
+        self.capabilities = self._stick.capabilities
         self._meter = RumbleMeter(_FULL_RUMBLE_N)
         self._effect = -1
         self._force_n = self._more_n = 0.0
@@ -160,8 +160,8 @@ class GamepadDevice:
 
     def write_more_forces(self, forces: Sequence[float]) -> None:
         """Show their size (N; N m), too."""
-        more = zip(forces, self.facts.more, strict=True)
-        self._more_n = hypot(*(force / facts.lever_m for force, facts in more))
+        more = zip(forces, self.capabilities.more, strict=True)
+        self._more_n = hypot(*(force / capabilities.lever_m for force, capabilities in more))
 
     def write_leds(self, mask: int) -> None:
         """Do nothing: the kernel uses a controller's LEDs for the player number."""
@@ -172,7 +172,7 @@ class GamepadDevice:
     def advance(self, dt_ns: int) -> None:
         """`dt_ns` pass; update the filter and the rumble."""
         self._stick.advance(dt_ns)
-        if self.facts.rumble:
+        if self.capabilities.rumble:
             magnitude = self._meter.handle_force(hypot(self._force_n, self._more_n), dt_ns)
             if magnitude is not None:
                 self._rumble(magnitude)

@@ -13,7 +13,7 @@ from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
-from telepresence.haptics.figures import JoystickFigures, LoggedTransition
+from telepresence.haptics.haptic_metrics import JoystickMetrics, LoggedTransition
 from telepresence.haptics.sample import Feedback
 
 #: Only in these states is a reading a calibrated position.
@@ -50,7 +50,7 @@ class OperatedHandle:
         self.robot_waits = self.robot_stopped = False
         self.command_age_ms: int | None = None
         self.state = int(JoystickState.INIT)
-        self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.facts.more]
+        self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.capabilities.more]
         self._axes: MoreAxes | None = cast(MoreAxes, device) if self.more else None
         self._known = JoystickState.INIT
         self._placed = False
@@ -88,7 +88,7 @@ class OperatedHandle:
         """Have a fault for so long: a trainer's exercise. 0 or less ends it."""
         self.operation.handle_exercise(self._now_ns + lasts_ns)
 
-    def report(self) -> JoystickFigures:
+    def report(self) -> JoystickMetrics:
         """Return `Operation.report`, and the last 20 transitions."""
         while (transition := self.operation.next_event()) is not None:
             self._log.append(
@@ -99,7 +99,7 @@ class OperatedHandle:
                     reason=transition.reason,
                 )
             )
-        return JoystickFigures(**asdict(self.operation.report()), log=list(self._log))
+        return JoystickMetrics(**asdict(self.operation.report()), log=list(self._log))
 
     def step(self, fx_n: float, fy_n: float, dt_ns: int) -> None:
         """Apply this force (N, N) for `dt_ns`, then read the handle."""

@@ -9,7 +9,7 @@ from math import isfinite
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import JoystickDevice, JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickDevice, JoystickReading
 from telepresence.haptics.device.functional_test import Outcome, TestReport, functional_test
 from telepresence.haptics.device.script import (
     IDLE,
@@ -30,7 +30,7 @@ from telepresence.haptics.device.states import (
     Transition,
 )
 from telepresence.haptics.device.supervision import Health, JoystickSupervisor, Limits
-from telepresence.haptics.figures import OperationFigures
+from telepresence.haptics.haptic_metrics import OperationMetrics
 
 #: Force of the push (N): more than the handle's friction, and harmless for fingers. Chosen.
 PUSH_N = 5.0
@@ -57,20 +57,20 @@ class Calibration(NamedTuple):
     problem: str = ""
 
 
-def calibrate(facts: JoystickFacts) -> Script[Calibration]:
+def calibrate(capabilities: JoystickCapabilities) -> Script[Calibration]:
     """Return the script that finds the middle of the workspace of a device with these facts.
 
     Motors push the handle to its stops. A stick springs back to its middle, and is left alone.
     """
-    return _with_motors(facts) if facts.has_force else _without_motors(facts)
+    return _with_motors(capabilities) if capabilities.has_force else _without_motors(capabilities)
 
 
-def _with_motors(facts: JoystickFacts) -> Script[Calibration]:
+def _with_motors(capabilities: JoystickCapabilities) -> Script[Calibration]:
     cycle: Cycle = yield IDLE
     middles: list[float] = []
     halves: list[float] = []
-    push_n = min(PUSH_N, facts.force_limit_n)
-    for axis, nominal_m in ((0, facts.half_width_m), (1, facts.half_height_m)):
+    push_n = min(PUSH_N, capabilities.force_limit_n)
+    for axis, nominal_m in ((0, capabilities.half_width_m), (1, capabilities.half_height_m)):
         name = "xy"[axis]
         ends = []
         for sign in (-1, 1):
@@ -78,7 +78,7 @@ def _with_motors(facts: JoystickFacts) -> Script[Calibration]:
             cycle, end = yield from push_to_stop(
                 cycle, direction, force_n=push_n, speed_m_s=_SPEED_M_S
             )
-            ends.append(end.place(axis))
+            ends.append(end.position(axis))
         half_m = (ends[1] - ends[0]) / 2
         if abs(half_m - nominal_m) > TOLERANCE * nominal_m:
             return Calibration(
@@ -98,7 +98,7 @@ def _with_motors(facts: JoystickFacts) -> Script[Calibration]:
     return Calibration(middles[0], middles[1], halves[0], halves[1])
 
 
-def _without_motors(facts: JoystickFacts) -> Script[Calibration]:
+def _without_motors(capabilities: JoystickCapabilities) -> Script[Calibration]:
     cycle: Cycle = yield IDLE
     until_ns = cycle.now_ns + _REST_NS
     xs, ys = [cycle.reading.x_m], [cycle.reading.y_m]
@@ -107,14 +107,17 @@ def _without_motors(facts: JoystickFacts) -> Script[Calibration]:
         xs.append(cycle.reading.x_m)
         ys.append(cycle.reading.y_m)
     x_m, y_m = sum(xs) / len(xs), sum(ys) / len(ys)
-    for values, middle, half_m in ((xs, x_m, facts.half_width_m), (ys, y_m, facts.half_height_m)):
+    for values, middle, half_m in (
+        (xs, x_m, capabilities.half_width_m),
+        (ys, y_m, capabilities.half_height_m),
+    ):
         moved = max(abs(value) for value in values)
         if moved > _REST_SHARE * half_m or max(values) - min(values) > _REST_SHARE / 3 * half_m:
             return Calibration(
                 problem=f"the stick does not rest at its middle ({middle / half_m:+.0%} of its "
                 "travel): let go of it, and calibrate again"
             )
-    return Calibration(x_m, y_m, facts.half_width_m, facts.half_height_m)
+    return Calibration(x_m, y_m, capabilities.half_width_m, capabilities.half_height_m)
 
 
 #: The self-test passes after this many readings without a fault.
@@ -156,7 +159,7 @@ class JoystickOperation:
     """Runs one `device`.
 
     automatic: make the requests that lead into the application, and back into it, by itself.
-    paused: how a person halted or stopped it, in an earlier life too, so it waits for a person;
+    paused: how a person halted or stopped it, in an earlier start too, so it waits for a person;
     "": it does not.
     hands_off: the application is a functional check, without dead-man button and peer.
 
@@ -178,7 +181,7 @@ class JoystickOperation:
         paused: str = "",
     ) -> None:
         self.device = device
-        self.facts = device.facts
+        self.capabilities = device.capabilities
         self.machine = StateMachine()
         self.supervisor = JoystickSupervisor(limits)
         self.calibration: Calibration | None = None
@@ -192,7 +195,7 @@ class JoystickOperation:
         self._automatic = automatic
         self._hands_off = hands_off
         self._full_force_n = (
-            self.facts.force_limit_n if self.facts.has_force else UNFELT_FORCE_LIMIT_N
+            self.capabilities.force_limit_n if self.capabilities.has_force else UNFELT_FORCE_LIMIT_N
         )
         self._run: ScriptRun[Calibration] | None = None
         self._test: ScriptRun[TestReport] | None = None
@@ -238,7 +241,7 @@ class JoystickOperation:
 
     @property
     def _retries_left(self) -> bool:
-        return self._retries < _RETRIES or not self.facts.has_force
+        return self._retries < _RETRIES or not self.capabilities.has_force
 
     @property
     def trouble(self) -> str:
@@ -271,11 +274,11 @@ class JoystickOperation:
         self._run = None
         self._abort_test(f"{event.value}: {reason or _BY_A_PERSON}")
         if event is JoystickEvent.TEST:
-            self._test = ScriptRun(functional_test(self.facts))
+            self._test = ScriptRun(functional_test(self.capabilities))
             self.test = TestReport(Outcome.RUNNING, number=self.test.number + 1)
         if event is JoystickEvent.CALIBRATE:
             self._forget_calibration()
-            self._run = ScriptRun(calibrate(self.facts))
+            self._run = ScriptRun(calibrate(self.capabilities))
         elif event in (JoystickEvent.RESUME, JoystickEvent.START):
             self.supervisor.forget_silence()
             self._held_since_ns = None
@@ -391,11 +394,11 @@ class JoystickOperation:
         """The oldest transition that was not fetched yet, or None."""
         return self.machine.next_event()
 
-    def report(self) -> OperationFigures:
+    def report(self) -> OperationMetrics:
         """Return state, reason, temperatures (°C) and counters."""
         supervisor, calibration = self.supervisor, self.calibration
-        return OperationFigures(
-            device=self.facts.name,
+        return OperationMetrics(
+            device=self.capabilities.name,
             state=self.machine.state.words,
             reason=self.reason or self.supervisor.reason,
             temperature_c=_rounded(self.reading.temperature_c),

@@ -13,12 +13,12 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.device import JoystickReading
-from telepresence.haptics.device.simulated import FACTS as SIMULATED_FACTS
+from telepresence.haptics.device.simulated import CAPABILITIES as SIMULATED_CAPABILITIES
 from telepresence.haptics.device.simulated import START_M, Mechanics
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import HandModel
 
-FACTS = replace(SIMULATED_FACTS, name="browser page")
+CAPABILITIES = replace(SIMULATED_CAPABILITIES, name="browser page")
 
 #: The soft grip of `telepresence.haptics.hand`, limited to what the motors can hold without end:
 #: 8 N heat them by 32 K, which is below the supervision's warning.
@@ -28,7 +28,7 @@ GRIP = HandModel(stiffness_n_m=250.0, damping_n_s_m=15.0, mass_kg=0.2, push_n=8.
 NO_PICTURE = -1
 
 _SEQUENCES = 1 << 32
-_BUTTONS = (1 << FACTS.buttons) - 1
+_BUTTONS = (1 << CAPABILITIES.buttons) - 1
 
 
 class PageInput(NamedTuple):
@@ -88,7 +88,7 @@ class PageDevice(Mechanics):
     """
 
     # Who steers by mouse, finger or keys has the dead-man button alone.
-    facts = replace(FACTS, buttons=0)
+    capabilities = replace(CAPABILITIES, buttons=0)
 
     def __init__(
         self,
@@ -105,7 +105,7 @@ class PageDevice(Mechanics):
         self.held = False
         self.ignored = 0
         self._application = self._braked = False
-        self._all_leds = (1 << self.facts.leds) - 1
+        self._all_leds = (1 << self.capabilities.leds) - 1
         self._buttons = 0
         self._newest: PageInput | None = None
         self._fresh_until_ns = 0
@@ -145,8 +145,8 @@ class PageDevice(Mechanics):
             self._pressed, self._silent_ns = True, None
         if not (self._pressed and self._application):
             return
-        facts = self.facts
-        wide, high = facts.half_width_m, facts.half_height_m
+        capabilities = self.capabilities
+        wide, high = capabilities.half_width_m, capabilities.half_height_m
         if not self.held:
             self._take(hand.x * wide, hand.y * high)
             self._take_axes(hand.more)
@@ -193,7 +193,7 @@ class PageDevice(Mechanics):
             return True
         if 0 < (hand.sequence - newest.sequence) % _SEQUENCES < _SEQUENCES // 2:
             return hand.received_ns >= newest.received_ns
-        # Another page, or another life of its process, counts anew; not while a hand is fresh.
+        # Another page, or another start of its process, counts anew; not while a hand is fresh.
         return self._now_ns >= self._fresh_until_ns and hand.received_ns > newest.received_ns
 
     def _take(self, x_m: float, y_m: float) -> None:
@@ -206,8 +206,10 @@ class PageDevice(Mechanics):
 
     def _take_axes(self, shares: Sequence[float]) -> None:
         """Hold the axes where they are; these shares mean those places."""
-        self._wanted = [axis.place_m / axis.half_m for axis in self._axes]
-        self._shifts = [place - share for place, share in zip(self._wanted, shares, strict=False)]
+        self._wanted = [axis.position_m / axis.half_m for axis in self._axes]
+        self._shifts = [
+            position - share for position, share in zip(self._wanted, shares, strict=False)
+        ]
 
     def _step(self, dt_ns: int) -> None:
         joystick, model = self.joystick, self.model
@@ -252,4 +254,4 @@ class PageDevice(Mechanics):
 class Ros2Device(PageDevice):
     """The same, in the hand of a ROS 2 node in the place of a page."""
 
-    facts = replace(FACTS, name="ROS 2 node")
+    capabilities = replace(CAPABILITIES, name="ROS 2 node")

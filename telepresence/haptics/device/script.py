@@ -110,7 +110,7 @@ def travel(
     *,
     speed_m_s: float = 0.15,
     force_n: float = inf,
-    patience_ns: int = 3 * NS_PER_S,
+    timeout_ns: int = 3 * NS_PER_S,
 ) -> Script[tuple[Cycle, bool]]:
     """Move the handle to (x_m, y_m) in encoder coordinates; return whether it rests there.
 
@@ -119,7 +119,7 @@ def travel(
     """
     to_x, to_y = cycle.reading.x_m, cycle.reading.y_m
     extra_x = extra_y = 0.0
-    until_ns = cycle.now_ns + patience_ns
+    until_ns = cycle.now_ns + timeout_ns
     still_since_ns = cycle.now_ns
     last_ns = cycle.now_ns
     while cycle.now_ns < until_ns:
@@ -228,14 +228,14 @@ class CheckResult:
     """
 
     name: str
-    figures: tuple[Figure, ...] = field(default=())
+    metrics: tuple[Figure, ...] = field(default=())
     trouble: str = ""
     skipped: str = ""
 
     @property
     def passed(self) -> bool:
         """Whether every figure is within its limits and there was no trouble."""
-        return not self.skipped and not self.trouble and all(f.passed for f in self.figures)
+        return not self.skipped and not self.trouble and all(f.passed for f in self.metrics)
 
     @property
     def failed(self) -> bool:

@@ -13,14 +13,14 @@ from types import MappingProxyType
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from telepresence.haptics.axes import AxisName, AxisReading, built_in_axes
-from telepresence.haptics.device.device import KEEPS_FORCE_NS, JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import KEEPS_FORCE_NS, JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.joystick import Joystick, JoystickModel
 
 _MODEL = JoystickModel()
 
-FACTS = JoystickFacts(
+CAPABILITIES = JoystickCapabilities(
     name="simulated joystick",
     half_width_m=_MODEL.half_width_m,
     half_height_m=_MODEL.half_height_m,
@@ -130,7 +130,7 @@ class Mechanics:
     axes: the axes behind x and y.
     """
 
-    facts: JoystickFacts
+    capabilities: JoystickCapabilities
 
     def __init__(
         self,
@@ -140,7 +140,9 @@ class Mechanics:
         axes: Sequence[AxisName] = (),
     ) -> None:
         self._axes = built_in_axes(axes, meets=False)
-        self.facts = replace(self.facts, more=tuple(axis.facts for axis in self._axes))
+        self.capabilities = replace(
+            self.capabilities, more=tuple(axis.capabilities for axis in self._axes)
+        )
         self.joystick = Joystick(model, x_m=start_m[0], y_m=start_m[1])
         self.leds = 0
         self._zero_x, self._zero_y = start_m
@@ -161,7 +163,7 @@ class Mechanics:
     def read_more(self) -> list[AxisReading]:
         """Return what the encoders of the axes behind x and y measure."""
         return [
-            AxisReading(axis.place_m / axis.lever_m, axis.speed_m_s / axis.lever_m)
+            AxisReading(axis.position_m / axis.lever_m, axis.speed_m_s / axis.lever_m)
             for axis in self._axes
         ]
 
@@ -170,7 +172,7 @@ class Mechanics:
         for axis, force in zip(self._axes, forces, strict=True):
             axis.force_n = force / axis.lever_m
 
-    def write_more_positions(self, places: Sequence[float], speeds: Sequence[float]) -> None:
+    def write_more_positions(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """No joystick takes places."""
 
     def write_leds(self, mask: int) -> None:
@@ -213,7 +215,7 @@ class Mechanics:
             if wanted is None:
                 hand_n = -_AXIS_BRAKE_N_S_M * axis.speed_m_s
             else:
-                stretch_m = wanted[index] * axis.half_m - axis.place_m
+                stretch_m = wanted[index] * axis.half_m - axis.position_m
                 pull_n = max(-_AXIS_PULL_N, min(_AXIS_PULL_N, _AXIS_HAND_N_M * stretch_m))
                 hand_n = pull_n - _AXIS_HAND_N_S_M * axis.speed_m_s
             axis.step(axis.cut_n + hand_n, dt_ns)
@@ -228,7 +230,7 @@ class SimulatedDevice(Mechanics):
     stuck: an axis that does not move from now on; -1 for none.
     """
 
-    facts = FACTS
+    capabilities = CAPABILITIES
 
     def __init__(
         self,
@@ -247,7 +249,7 @@ class SimulatedDevice(Mechanics):
         self._gain = faults.motor_gain
         self._live_buttons = ~(1 << faults.dead_button) if faults.dead_button >= 0 else -1
         self._lost_ns = faults.lost_ns
-        self.fingers = Fingers(self.facts.leds)
+        self.fingers = Fingers(self.capabilities.leds)
         self._held_ns = -1
         self._told = False
 
@@ -296,7 +298,7 @@ class SimulatedDevice(Mechanics):
             self._held_ns = 0 if state is JoystickState.APPLICATION else -1
             if self._told:
                 self.hand.let_go(self.joystick.x_m, self.joystick.y_m)
-            self.fingers = Fingers(self.facts.leds)
+            self.fingers = Fingers(self.capabilities.leds)
 
     def _step(self, dt_ns: int) -> None:
         joystick, hand = self.joystick, self.hand

@@ -12,8 +12,14 @@ from math import sqrt
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.axes import AXIS_NAMES, BUILT_IN_AXES, AxisFacts, AxisName, AxisReading
-from telepresence.haptics.device.device import JoystickFacts, JoystickReading
+from telepresence.haptics.axes import (
+    AXIS_NAMES,
+    BUILT_IN_AXES,
+    AxisCapabilities,
+    AxisName,
+    AxisReading,
+)
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 
 EV_SYN, EV_KEY, EV_ABS, EV_FF = 0x00, 0x01, 0x03, 0x15
 SYN_DROPPED = 3
@@ -105,8 +111,8 @@ def stick_axes(axes: Collection[int], keys: Collection[int]) -> tuple[AxisName, 
 class FollowedAxis:
     """Follows a place with a hand's speed and acceleration, as `velocity_towards` has them."""
 
-    def __init__(self, tau_s: float, place_m: float = 0.0, speed_m_s: float = SPEED_M_S) -> None:
-        self.place, self.speed = place_m, 0.0
+    def __init__(self, tau_s: float, position_m: float = 0.0, speed_m_s: float = SPEED_M_S) -> None:
+        self.position, self.speed = position_m, 0.0
         self._tau_s, self._most_m_s = tau_s, speed_m_s
 
     def advance(self, to_m: float, dt_ns: int) -> None:
@@ -115,20 +121,20 @@ class FollowedAxis:
         while left_s > 0.0:
             dt_s = min(left_s, _CYCLE_S)
             self.speed = velocity_towards(
-                self.speed, to_m - self.place, dt_s, self._tau_s, self._most_m_s
+                self.speed, to_m - self.position, dt_s, self._tau_s, self._most_m_s
             )
-            self.place += self.speed * dt_s
+            self.position += self.speed * dt_s
             left_s -= dt_s
 
 
 class _LedAxis:
     """One more axis. Lengths are those at its lever."""
 
-    def __init__(self, facts: AxisFacts, lead: _Lead) -> None:
-        self.facts, self.lead = facts, lead
-        self._half_m = facts.half_range * facts.lever_m
+    def __init__(self, capabilities: AxisCapabilities, lead: _Lead) -> None:
+        self.capabilities, self.lead = capabilities, lead
+        self._half_m = capabilities.half_range * capabilities.lever_m
         self._to_m = 0.0
-        self._followed = FollowedAxis(TAU_S, speed_m_s=facts.speed * facts.lever_m)
+        self._followed = FollowedAxis(TAU_S, speed_m_s=capabilities.speed * capabilities.lever_m)
 
     def advance(self, share: float, dt_ns: int, *, held: bool) -> None:
         """Take the deflection, -1 to 1; `dt_ns` pass. held: the dead-man button is pressed."""
@@ -141,8 +147,8 @@ class _LedAxis:
         self._followed.advance(self._to_m, dt_ns)
 
     def reading(self) -> AxisReading:
-        lever_m, followed = self.facts.lever_m, self._followed
-        return AxisReading(followed.place / lever_m, followed.speed / lever_m)
+        lever_m, followed = self.capabilities.lever_m, self._followed
+        return AxisReading(followed.position / lever_m, followed.speed / lever_m)
 
 
 class Stick:
@@ -173,21 +179,21 @@ class Stick:
         self._bits = {code: 1 << index for index, code in enumerate(kept)}
         leads = _leads(axes, keys)
         self._more = [_LedAxis(BUILT_IN_AXES[one], leads[one]) for one in more if one in leads]
-        self.facts = JoystickFacts(
+        self.capabilities = JoystickCapabilities(
             name=name,
             half_width_m=HALF_WIDTH_M,
             half_height_m=HALF_HEIGHT_M,
             buttons=len(self._bits),
             rumble=rumble,
-            more=tuple(axis.facts for axis in self._more),
+            more=tuple(axis.capabilities for axis in self._more),
         )
         self.needs_state = False
         self.present = True
         self._axes = axes
         self._raw = {code: axis.value for code, axis in axes.items()}
         self._pressed: set[int] = set()
-        self._to = self._places()
-        self._x, self._y = (FollowedAxis(TAU_S, place_m) for place_m in self._to)
+        self._to = self._positions()
+        self._x, self._y = (FollowedAxis(TAU_S, position_m) for position_m in self._to)
         self._zero_x = self._zero_y = 0.0
 
     def handle_event(self, kind: int, code: int, value: int) -> None:
@@ -195,7 +201,7 @@ class Stick:
         if kind == EV_ABS:
             if code in self._raw:
                 self._raw[code] = value
-                self._to = self._places()
+                self._to = self._positions()
         elif kind == EV_KEY:
             (self._pressed.add if value else self._pressed.discard)(code)
         elif kind == EV_SYN and code == SYN_DROPPED:
@@ -205,7 +211,7 @@ class Stick:
         """Set the axes' raw values and the codes of the pressed buttons, as the kernel has them."""
         self.needs_state = False
         self._raw.update(raw)
-        self._to = self._places()
+        self._to = self._positions()
         self._pressed = set(pressed)
 
     def handle_zero(self, x_m: float, y_m: float) -> None:
@@ -226,8 +232,8 @@ class Stick:
         """Return the filtered position and the buttons."""
         x, y, pressed = self._x, self._y, self._pressed
         return JoystickReading(
-            x.place - self._zero_x,
-            y.place - self._zero_y,
+            x.position - self._zero_x,
+            y.position - self._zero_y,
             x.speed,
             y.speed,
             sum(bit for code, bit in self._bits.items() if code in pressed),
@@ -248,7 +254,7 @@ class Stick:
         for axis in self._more:
             axis.advance(self._deflection(axis.lead), dt_ns, held=held)
 
-    def _places(self) -> tuple[float, float]:
+    def _positions(self) -> tuple[float, float]:
         x, y = (_share(self._axes[code], self._raw[code]) for code in (ABS_X, ABS_Y))
         # The kernel counts down as positive, the workspace up.
         return x * HALF_WIDTH_M, -y * HALF_HEIGHT_M

@@ -191,15 +191,15 @@ class JoystickSupervisor:
         if reading.error:
             return self._set_health(Health.FAULT, reading.error)
         for axis, half_m in enumerate(self._half_m):
-            name, place_m, speed_m_s = "xy"[axis], reading.place(axis), reading.speed(axis)
-            if not (isfinite(place_m) and isfinite(speed_m_s)):
+            name, position_m, speed_m_s = "xy"[axis], reading.position(axis), reading.speed(axis)
+            if not (isfinite(position_m) and isfinite(speed_m_s)):
                 return self._set_health(
                     Health.FAULT, f"axis {name} reads no number: its sensor fails, or is silent"
                 )
-            if abs(place_m) > half_m + self.limits.outside_m:
+            if abs(position_m) > half_m + self.limits.outside_m:
                 return self._set_health(
                     Health.FAULT,
-                    f"axis {name} reads {place_m * 1e3:+.0f} mm, the workspace ends at "
+                    f"axis {name} reads {position_m * 1e3:+.0f} mm, the workspace ends at "
                     f"±{half_m * 1e3:.0f} mm",
                 )
         if reading.temperature_c is not None and not isfinite(reading.temperature_c):

@@ -5,7 +5,7 @@ from typing import cast
 
 from kontur_av.returned import fault_of, taken
 from telepresence.haptics.axes import AxisReading, MoreAxes
-from telepresence.haptics.device.device import JoystickDevice, JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickDevice, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 
 _REST = JoystickReading(0.0, 0.0, 0.0, 0.0)
@@ -20,7 +20,7 @@ class UserJoystick:
 
     def __init__(self, device: JoystickDevice) -> None:
         self.device = device
-        self.facts = taken(JoystickFacts, device.facts, "facts")
+        self.capabilities = taken(JoystickCapabilities, device.capabilities, "facts")
         self._fault = ""
         self._last = _REST
 
@@ -41,7 +41,7 @@ class UserJoystick:
         axes = cast(MoreAxes, self.device)
         self._call("write_more_forces()", lambda: axes.write_more_forces(forces))
 
-    def write_more_positions(self, places: Sequence[float], speeds: Sequence[float]) -> None:
+    def write_more_positions(self, positions: Sequence[float], speeds: Sequence[float]) -> None:
         """Only of a robot."""
 
     def set_zero(self, x_m: float, y_m: float) -> None:

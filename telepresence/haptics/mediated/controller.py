@@ -291,7 +291,7 @@ class MediatedController(JoystickController):
         except ProtocolError:
             self.garbage += 1
             return
-        # What comes before the robot is heard may be of its earlier life.
+        # What comes before the robot is heard may be of its earlier start.
         self._unknown = self._unknown and not self._heard
         self.renderer.handle_wall(message)
 

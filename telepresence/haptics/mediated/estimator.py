@@ -162,15 +162,15 @@ class WallEstimator:
         dx, dy = x_m - last[1], y_m - last[2]
         if self._free:
             # The surface lies between the last free place and the first one in contact.
-            place = complex(x_m - dx / 2.0, y_m - dy / 2.0)
-            self._free, self._entered = False, (hypot(dx, dy) * _UNIFORM, place, 0j, 0j)
+            position = complex(x_m - dx / 2.0, y_m - dy / 2.0)
+            self._free, self._entered = False, (hypot(dx, dy) * _UNIFORM, position, 0j, 0j)
         if abs(fx_n) + abs(fy_n) < model.least_n:
             return
-        place = complex(x_m, y_m)
-        if samples and abs(place - samples[-1][0]) < self._step_m:
+        position = complex(x_m, y_m)
+        if samples and abs(position - samples[-1][0]) < self._step_m:
             return
         velocity = complex(dx, dy) * NS_PER_S / (now_ns - last[0])
-        samples.append((place, velocity, complex(fx_n, fy_n)))
+        samples.append((position, velocity, complex(fx_n, fy_n)))
         self._used += 1
         if len(samples) >= model.samples and now_ns >= self._estimate_ns:
             self._estimate_ns = now_ns + model.estimate_ns
@@ -183,7 +183,7 @@ class WallEstimator:
         if self.wall is not None:
             self.wall, self._changed = self.wall.moved(x_m, y_m), True
 
-    def tell_again(self) -> None:
+    def publish_again(self) -> None:
         """The joystick may have started: it knows no wall."""
         self._first = self.model.first
 
@@ -232,9 +232,9 @@ class WallEstimator:
         model, known = self.model, self._known_n_m
         deviation_m, *entered = self._entered
         # Complex numbers, so that one product turns them into the assumed plane's frame.
-        place, velocity, force = np.array([entered, *self._samples]).T
-        tip = place[-1]
-        ages = model.keep ** np.arange(len(place) - 1, -1, -1.0)
+        position, velocity, force = np.array([entered, *self._samples]).T
+        tip = position[-1]
+        ages = model.keep ** np.arange(len(position) - 1, -1, -1.0)
         ages[0] = model.keep**self._used
         angle = self._angle_rad
         if angle is None:
@@ -243,7 +243,7 @@ class WallEstimator:
         for _ in range(_TURNS):
             inward, k, variance = _unit(angle), self._stiffness, self._variance
             back = inward.conjugate()
-            at, speed, load = back * (place - tip), back * velocity, -back * force
+            at, speed, load = back * (position - tip), back * velocity, -back * force
             w, push = at.imag, load.real
             slide = speed.imag / (np.abs(speed.imag) + model.slide_m_s)
             none = np.zeros_like(w)

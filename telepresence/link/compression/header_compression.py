@@ -14,7 +14,7 @@ from collections import deque
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from telepresence.link.compression.rtp_forms import (
     CONTEXT_OCTETS,
     KIND_BARE,
@@ -149,8 +149,8 @@ class RtpSource:
 
     def handle_packet(self, sequence: int, timestamp: int, count: int) -> None:
         """Take the next packet to send, and the frame count at which it starts."""
-        self._sequence += signed(sequence - self._sequence, 16)
-        step = signed(timestamp - self._timestamp)
+        self._sequence += serial_difference(sequence - self._sequence, 16)
+        step = serial_difference(timestamp - self._timestamp)
         if step:
             self._timestamp += step
             self._handle_picture(step)
@@ -300,7 +300,7 @@ class RtpCompressor:
         """The peer reported its newest context; 0: none, or a fleeting one.
 
         count: the present frame count of this end, not wrapped. Reports that refer to an earlier
-        life of this end must not be passed on to this method.
+        start of this end must not be passed on to this method.
         """
         self._last_acknowledged = context_id
         oldest = count - self._round_trip

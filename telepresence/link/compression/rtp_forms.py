@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.modular import signed
+from kontur_av.modular import serial_difference
 from telepresence.link.flows import Flow
 
 RTP_HEADER = struct.Struct(">BBHII")
@@ -202,12 +202,14 @@ class RtpForms:
         since = (count - context.count) * self._ticks // self._units
         due = since + context.lead * self.lead_ticks
         period, phase = context.period, context.phase
-        off = signed(timestamp - context.timestamp)
+        off = serial_difference(timestamp - context.timestamp)
         index = (2 * PERIOD_PARTS * (off - phase) + period) // (2 * period)
         due_index = (2 * PERIOD_PARTS * (due - phase) + period) // (2 * period)
-        error = signed(sequence - _sequence(context, index), 16)
+        error = serial_difference(sequence - _sequence(context, index), 16)
         steps = index - due_index
-        late = error if not steps else signed(sequence - _sequence(context, due_index), 16)
+        late = (
+            error if not steps else serial_difference(sequence - _sequence(context, due_index), 16)
+        )
         if -_INDEX_BACK <= steps < 4 - _INDEX_BACK:
             beside = off - phase - (index * period + PERIOD_PARTS // 2) // PERIOD_PARTS
             plain = marker == context.marker and not error

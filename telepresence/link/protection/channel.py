@@ -37,7 +37,7 @@ SILENCE_NS = 2 * NS_PER_S
 
 
 @dataclass(slots=True)
-class ProtectionFigures:
+class ProtectionMetrics:
     """What passed the protected channel of one end, and what was dropped, by reason.
 
     Every datagram received is counted once: in `opened`, `handshake_datagrams` or `dropped`.
@@ -103,7 +103,7 @@ class ProtectedChannel:
         rekey_ns: int = REKEY_NS,
         rekey_records: int = REKEY_RECORDS,
     ) -> None:
-        self.figures = ProtectionFigures()
+        self.metrics = ProtectionMetrics()
         self.peer_address = address
         self._given_address = address
         self._rekey_ns = rekey_ns
@@ -130,15 +130,15 @@ class ProtectedChannel:
         """Return the datagram of a frame, for `peer_address`; None without a session or address."""
         sealer = self._sealer
         if sealer is None or self.peer_address is None:
-            self.figures.unsent += 1
+            self.metrics.unsent += 1
             return None
         try:
             datagram = sealer.seal(frame)
         except OverflowError:
             self._sealer = None
-            self.figures.unsent += 1
+            self.metrics.unsent += 1
             return None
-        self.figures.sealed += 1
+        self.metrics.sealed += 1
         if sealer.sealed == self._rekey_records:
             self._rekey_due_ns = now_ns
         return datagram
@@ -149,18 +149,18 @@ class ProtectedChannel:
         if kind == RECORD:
             opened = self._open(datagram, source, now_ns)
             if not isinstance(opened, str):
-                self.figures.opened += 1
+                self.metrics.opened += 1
                 return opened
-            self.figures.dropped[opened] += 1
+            self.metrics.dropped[opened] += 1
             return None
         if kind not in (HANDSHAKE, KNOCK):
-            self.figures.dropped["malformed"] += 1
+            self.metrics.dropped["malformed"] += 1
             return None
         reason = self._handshake.handle_datagram(datagram, source, now_ns)
         if reason is None:
-            self.figures.handshake_datagrams += 1
+            self.metrics.handshake_datagrams += 1
         else:
-            self.figures.dropped[reason] += 1
+            self.metrics.dropped[reason] += 1
         self._drain(now_ns)
         return None
 
@@ -244,7 +244,7 @@ class ProtectedChannel:
             if isinstance(event, KeysAgreed):
                 self._take_keys(event, now_ns)
             elif isinstance(event, AttemptFailed):
-                self.figures.failed_attempts += 1
+                self.metrics.failed_attempts += 1
                 self._events.append(HandshakeFailed(event.why))
             else:
                 self._use_keys(now_ns)
@@ -269,7 +269,7 @@ class ProtectedChannel:
             return
         self._events.append(SessionBegun(renewed=self._sealer is not None))
         self._sealer, self._next_sealer = self._next_sealer, None
-        self.figures.sessions += 1
+        self.metrics.sessions += 1
         self._rekey_due_ns = now_ns + self._rekey_ns
         self._heard_ns = now_ns
 

@@ -12,7 +12,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.figures import ChannelFigures
+from telepresence.link.link_metrics import ChannelMetrics
 from telepresence.link.radio.contact import ContactFading
 
 if TYPE_CHECKING:
@@ -180,9 +180,9 @@ class RadioChannel:
             no_signal=no_signal,
         )
 
-    def report(self, time_ns: int) -> ChannelFigures:
+    def report(self, time_ns: int) -> ChannelMetrics:
         """What the channel did up to `time_ns`."""
-        return ChannelFigures(
+        return ChannelMetrics(
             profile=self._profile.name,
             direction=self._direction,
             blackout_ns=self._blackouts.dark_ns(time_ns),

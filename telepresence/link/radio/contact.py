@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import cos, erfc, exp, hypot, log, log10, pi, sin, sqrt
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.figures import ContactWindows
+from telepresence.link.link_metrics import ContactWindows
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 
 _LIGHT_KM_S = 299_792.458

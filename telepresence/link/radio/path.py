@@ -4,7 +4,7 @@ from collections import deque
 from math import inf, log1p
 from random import Random
 
-from telepresence.link.figures import PathFigures
+from telepresence.link.link_metrics import PathMetrics
 from telepresence.link.radio.channel import FOREVER_NS, Condition, RadioChannel
 
 _STEADY = Condition()
@@ -119,13 +119,13 @@ class RadioPath:
         """When the next frame arrives."""
         return self._under_way[0][0] if self._under_way else None
 
-    def report(self) -> PathFigures:
+    def report(self) -> PathMetrics:
         """Counts, and the delay now, least and most; with a channel its outages and contact."""
         if self.frames_sent:
             self._note_delay()
         channel, now_ns = self._channel, self._now_ns
         silent_ns = None if channel is None else self._no_signal_ns + self._silent_ns(now_ns)
-        return PathFigures(
+        return PathMetrics(
             delay_ns=self.delay_ns,
             delay_min_ns=min(self._least_ns, self.delay_ns),
             delay_max_ns=max(self._most_ns, self.delay_ns),

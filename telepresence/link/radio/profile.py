@@ -7,7 +7,7 @@ from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, refused
-from telepresence.link.figures import ContactWindows
+from telepresence.link.link_metrics import ContactWindows
 from telepresence.link.radio.channel import BlackoutClock, BurstClock, RadioChannel, random_windows
 from telepresence.link.radio.contact import Contact, ContactFading
 from telepresence.link.radio.orbit import Overflight, parse_elements, parse_utc

@@ -1,6 +1,6 @@
 """Loads a radio profile by name or from a user's TOML file; docs/radio.md has every field. A shell.
 
-An error in the file is a ConfigError that names the field and the mend.
+An error in the file is a ConfigError that names the field and the fix.
 """
 
 from collections.abc import Mapping

@@ -155,7 +155,7 @@ class MessageKind(IntEnum):
 class SupervisionMessage(NamedTuple):
     """One message.
 
-    version: 1 to 15. life, heard: docs/link-format.md. digest: 0 to 65535.
+    version: 1 to 15. boot_id, heard: docs/link-format.md. digest: 0 to 65535.
     signal: good frames of the peer arrive.
     application: data of the peer's applications has arrived since the contact or the last reset.
     fresh: some has arrived recently. sending: some has been sent recently.
@@ -172,7 +172,7 @@ class SupervisionMessage(NamedTuple):
     application: bool
     fresh: bool
     sending: bool
-    life: int
+    boot_id: int
     heard: int
     digest: int
     contexts: tuple[int, int, int, int] = (0, 0, 0, 0)
@@ -182,7 +182,7 @@ class SupervisionMessage(NamedTuple):
 
 
 #: Kinds of messages with rates in the place of contexts.
-TELLS_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
+KINDS_WITH_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
 
 
 def pack_message(message: SupervisionMessage) -> bytes:
@@ -192,15 +192,15 @@ def pack_message(message: SupervisionMessage) -> bytes:
     first = message.version << 4 | message.kind
     if message.kind is MessageKind.HELLO:
         number, echo = message.number.to_bytes(3, "big"), message.echo.to_bytes(3, "big")
-        return _HELLO.pack(first, flags, message.life, message.digest, number, echo)
-    tells_rates = message.kind in TELLS_RATES
+        return _HELLO.pack(first, flags, message.boot_id, message.digest, number, echo)
+    has_rates = message.kind in KINDS_WITH_RATES
     return _LAYOUT.pack(
         first,
         flags,
-        message.life,
+        message.boot_id,
         message.heard,
         message.digest,
-        _RATES.pack(*message.rates_kbps) if tells_rates else bytes(message.contexts),
+        _RATES.pack(*message.rates_kbps) if has_rates else bytes(message.contexts),
     )
 
 
@@ -213,13 +213,13 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
     """Parse `data`; None if no end that follows the layout can have sent it."""
     if not message_version(data):
         return None
-    first, flags, life, heard, digest, rest = _LAYOUT.unpack(data)
+    first, flags, boot_id, heard, digest, rest = _LAYOUT.unpack(data)
     kind, state = first & 0xF, flags >> _STATE_SHIFT
     master = bool(flags & MASTER)
     if (
         kind > MessageKind.HELLO
         or state > LinkState.REFUSED
-        or not life
+        or not boot_id
         or kind == (MessageKind.CONFIRM if master else MessageKind.CONFIGURE)
     ):
         return None
@@ -228,17 +228,17 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
     if known is MessageKind.HELLO:
         _, _, _, digest, number, echo = _HELLO.unpack(data)
         heard, rest = 0, bytes(CONTEXTS)
-    tells_rates = known in TELLS_RATES
+    has_rates = known in KINDS_WITH_RATES
     return SupervisionMessage(
         version=first >> 4,
         kind=known,
         state=LinkState(state),
         **{name: bool(flags & flag) for name, flag in _FLAGS.items()},
-        life=life,
+        boot_id=boot_id,
         heard=heard,
         digest=digest,
-        contexts=(0, 0, 0, 0) if tells_rates else (rest[0], rest[1], rest[2], rest[3]),
-        rates_kbps=_RATES.unpack(rest) if tells_rates else (0, 0),
+        contexts=(0, 0, 0, 0) if has_rates else (rest[0], rest[1], rest[2], rest[3]),
+        rates_kbps=_RATES.unpack(rest) if has_rates else (0, 0),
         number=int.from_bytes(number, "big"),
         echo=int.from_bytes(echo, "big"),
     )

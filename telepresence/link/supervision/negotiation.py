@@ -2,7 +2,7 @@
 
 A stream of frames that this end does not follow may be a peer that has restarted, or a stray, an
 old recording, a guess. So this end asks by a HELLO with a number that it has never sent before.
-Only an echo of it makes the stream the peer's (`Supervisor.handle_stranger`).
+Only an echo of it makes the stream the peer's (`Supervisor.handle_unknown_sender`).
 They are no signature: who reads both ways can answer as well as the peer.
 """
 
@@ -11,8 +11,8 @@ from random import Random
 from typing import NamedTuple
 
 from telepresence.link.supervision.message import (
+    KINDS_WITH_RATES,
     NUMBER_BITS,
-    TELLS_RATES,
     Configuration,
     LinkState,
     MessageKind,
@@ -28,13 +28,13 @@ class Proof:
 
     seed: of the numbers; nobody else may know it.
     proven: the stream that is followed has echoed a number.
-    question: the number to echo, which came last; 0 without any.
-    echoed: the number that was echoed last.
+    challenge: the number to echo, which came last; 0 without any.
+    response: the number that was echoed last.
     """
 
     def __init__(self, seed: int, timing: SupervisionTiming) -> None:
         self.proven = False
-        self.question = self.echoed = 0
+        self.challenge = self.response = 0
         self._random = Random(seed)
         #: A number may be asked for a round trip, and its echo may take another.
         self._life_ns = timing.round_trip_ns
@@ -63,7 +63,7 @@ class Proof:
 
 
 #: Each missing answer doubles the next wait, up to this factor.
-_LARGEST_PATIENCE = 32
+_LARGEST_TIMEOUT_FACTOR = 32
 
 
 class MessageVerdict(Enum):
@@ -95,10 +95,10 @@ class Negotiation:
 
     peer: the newest matching message of this contact, or None.
     message_ns: when it came, or when the contact began.
-    peer_life: the life that was checked; 0 before the first.
+    peer_boot_id: the life that was checked; 0 before the first.
     checked: nothing indicates that another life sends.
     hears: the peer is heard and says that it hears this end.
-    agreed: master and slave have agreed in these two lives.
+    agreed: master and slave have agreed in these two starts.
     refusal: why the peer does not match, or None.
     """
 
@@ -107,7 +107,7 @@ class Negotiation:
         *,
         master: bool,
         configuration: Configuration,
-        life: int,
+        boot_id: int,
         timing: SupervisionTiming,
         now_ns: int,
     ) -> None:
@@ -115,21 +115,21 @@ class Negotiation:
         self.digest = configuration.digest(master=master)
         self.rates_kbps = configuration.rates_kbps()
         self.peer: SupervisionMessage | None = None
-        self.peer_life = 0
+        self.peer_boot_id = 0
         self.checked = False
         self.hears = False
         self.agreed = False
         self.refusal: str | None = None
         self.message_ns = now_ns
         self._master = master
-        self._life = life
+        self._boot_id = boot_id
         self._configuration = configuration
         self._timing = timing
         #: Signature of a mismatching message; only its repetition counts.
         self._suspect: tuple[int, ...] = ()
         self._refused: tuple[int, ...] = ()
         self._unanswered_ns: int | None = None
-        self._patience = 1
+        self._timeout = 1
         #: The peer's last message but HELLO was a CONFIGURE.
         self._asked = False
 
@@ -142,16 +142,18 @@ class Negotiation:
             if not self._repeated(message.signature):
                 return MessageVerdict.SUSPECT
             self.forget_peer()
-            self.peer_life = 0
+            self.peer_boot_id = 0
             self.checked = self.agreed = False
             self._refuse(message)
             return MessageVerdict.REFUSED
-        if message.life != self.peer_life and self.peer_life:
-            signature = (message.master, message.life, message.digest)
+        if message.boot_id != self.peer_boot_id and self.peer_boot_id:
+            signature = (message.master, message.boot_id, message.digest)
             return MessageVerdict.DOUBTED if self._repeated(signature) else MessageVerdict.SUSPECT
         return self._accept(message, now_ns)
 
-    def handle_stranger(self, data: bytes, *, alone: bool) -> SupervisionMessage | MessageVerdict:
+    def handle_unknown_sender(
+        self, data: bytes, *, alone: bool
+    ) -> SupervisionMessage | MessageVerdict:
         """Check twelve octets from a good frame of another stream; return them if they match.
 
         alone: the peer's own stream is silent, so a repeated mismatch is a reason to refuse.
@@ -166,13 +168,13 @@ class Negotiation:
         self._refuse(message)
         return MessageVerdict.REFUSED
 
-    def meet(self, life: int) -> bool:
-        """The peer with this life is found; return whether that is another one than before."""
+    def meet(self, boot_id: int) -> bool:
+        """The peer with this start is found; return whether that is another one than before."""
         self.checked = True
         self._suspect, self.refusal = (), None
-        if life == self.peer_life:
+        if boot_id == self.peer_boot_id:
             return False
-        self.peer_life = life
+        self.peer_boot_id = boot_id
         self.agreed = False
         self.forget_peer()
         return True
@@ -202,9 +204,9 @@ class Negotiation:
             return "silence"
         if self._unanswered_ns is None:
             return None
-        if now_ns - self._unanswered_ns <= timing.answer_ns * self._patience:
+        if now_ns - self._unanswered_ns <= timing.answer_ns * self._timeout:
             return None
-        self._patience = min(2 * self._patience, _LARGEST_PATIENCE)
+        self._timeout = min(2 * self._timeout, _LARGEST_TIMEOUT_FACTOR)
         self._unanswered_ns = now_ns
         self.agreed = False
         return "answer"
@@ -241,9 +243,9 @@ class Negotiation:
 
     def _difference(self, message: SupervisionMessage) -> str:
         """Describe what does not match, as far as the message shows it."""
-        mend = "give both ends the same setup"
-        if message.kind not in TELLS_RATES:
-            return f"the configuration differs: {mend}"
+        fix = "give both ends the same setup"
+        if message.kind not in KINDS_WITH_RATES:
+            return f"the configuration differs: {fix}"
         here = self._configuration
         theirs = message.rates_kbps[::-1]
         wrong = [
@@ -253,7 +255,7 @@ class Negotiation:
             )
             if mine != other
         ]
-        return f"{', '.join(wrong) or 'frames or flows differ (rates agree)'}: {mend}"
+        return f"{', '.join(wrong) or 'frames or flows differ (rates agree)'}: {fix}"
 
     def _matching(self, data: bytes) -> SupervisionMessage | MessageVerdict | _Mismatch:
         """Parse `data`; return the message if it matches, else why not."""
@@ -267,12 +269,12 @@ class Negotiation:
         message = parse_message(data)
         if message is None:
             return MessageVerdict.MALFORMED
-        signature = (message.master, message.life, message.digest)
+        signature = (message.master, message.boot_id, message.digest)
         if message.master is self._master:
             role = "master" if self._master else "slave"
             return _Mismatch(signature, f"both ends are {role}: start one as the other")
         if message.digest != self.digest:
-            exact = message.kind in TELLS_RATES
+            exact = message.kind in KINDS_WITH_RATES
             return _Mismatch(signature, self._difference(message), exact)
         return message
 
@@ -288,7 +290,7 @@ class Negotiation:
 
     def _accept(self, message: SupervisionMessage, now_ns: int) -> MessageVerdict:
         verdict = MessageVerdict.FITS
-        if self.meet(message.life):
+        if self.meet(message.boot_id):
             verdict = MessageVerdict.MET
         self.message_ns = now_ns
         if message.kind is MessageKind.HELLO:
@@ -298,14 +300,14 @@ class Negotiation:
             return verdict
         self.peer = message
         self._asked = message.kind is MessageKind.CONFIGURE
-        self.hears = hears = message.signal and message.heard == self._life
+        self.hears = hears = message.signal and message.heard == self._boot_id
         told = MessageKind.CONFIRM if self._master else MessageKind.CONFIGURE
         if hears and message.kind is told:
             self.agreed = True
         # The peer hears its master, and nothing prevents it from confirming.
         waiting = message.state in (LinkState.SEARCH, LinkState.CONFIGURE)
         if not (self._master and hears and waiting):
-            self._unanswered_ns, self._patience = None, 1
+            self._unanswered_ns, self._timeout = None, 1
         elif self._unanswered_ns is None:
             self._unanswered_ns = now_ns
         return verdict

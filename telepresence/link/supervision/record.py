@@ -4,7 +4,7 @@ from collections import deque
 from dataclasses import replace
 from typing import NamedTuple
 
-from telepresence.link.figures import ContactFigures, Transition
+from telepresence.link.link_metrics import ContactMetrics, Transition
 from telepresence.link.supervision.message import LinkState
 
 
@@ -23,10 +23,10 @@ class SignalLost(NamedTuple):
 
 
 class PeerMet(NamedTuple):
-    """A matching peer in a new life: it holds nothing from before."""
+    """A matching peer in a new start: it holds nothing from before."""
 
     now_ns: int
-    life: int
+    boot_id: int
     restarted: bool
 
 
@@ -49,7 +49,7 @@ class PeerDeaf(NamedTuple):
 
 
 class ContextsHeld(NamedTuple):
-    """Contexts of this life of this end that the peer holds: a number a flow, 0 for none."""
+    """Contexts of this start of this end that the peer holds: a number a flow, 0 for none."""
 
     now_ns: int
     ids: tuple[int, ...]
@@ -120,7 +120,7 @@ class SupervisionRecord:
         self._since_ns = now_ns
         self._in_state_ns = dict.fromkeys(LinkState, 0)
         self.history: deque[Transition] = deque(maxlen=HISTORY_DEPTH)
-        self.contacts: deque[ContactFigures] = deque(maxlen=HISTORY_DEPTH)
+        self.contacts: deque[ContactMetrics] = deque(maxlen=HISTORY_DEPTH)
         self._note(state, why, now_ns)
         self._contact_ns = 0
         self.longest_gap_ns = 0
@@ -144,7 +144,7 @@ class SupervisionRecord:
         self.counts["signals_acquired"] += 1
         acquired_ns = now_ns - self.begun_ns
         self.contacts.append(
-            ContactFigures(acquired_ns=acquired_ns, connected_ns=None, lost_ns=None)
+            ContactMetrics(acquired_ns=acquired_ns, connected_ns=None, lost_ns=None)
         )
         return gap_ns
 

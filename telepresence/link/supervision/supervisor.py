@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from enum import Enum, auto
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.link.figures import OtherEndFigures, SupervisionFigures
+from telepresence.link.link_metrics import OtherEndMetrics, SupervisionMetrics
 from telepresence.link.supervision.message import (
     Configuration,
     LinkState,
@@ -45,16 +45,16 @@ from telepresence.link.supervision.record import (
 _NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch events; beyond that the oldest are dropped.
 _EVENTS_DEPTH = 256
-#: A stranger that hears nobody cannot prove itself. It is followed unproven after this many frames,
+#: An unknown sender that hears nobody cannot prove itself. It is followed unproven after this many frames,
 #: over this time, if no peer was ever met.
 _DEAF_FRAMES = 8
 _DEAF_NS = 20 * NS_PER_MS
-#: If one was, the stranger must last for this long, and the peer be silent for this long.
+#: If one was, the unknown sender must last for this long, and the peer be silent for this long.
 _DEAF_LATER_NS = NS_PER_S
 _PEER_SILENCE_NS = 2 * NS_PER_S
-#: A stranger without a message is asked after this time: it may be the peer whose delay changed.
+#: An unknown sender without a message is asked after this time: it may be the peer whose delay changed.
 _MUTE_NS = 5 * NS_PER_MS
-#: While the peer is there, strangers are asked at this interval, and no longer than this after
+#: While the peer is there, unknown senders are asked at this interval, and no longer than this after
 #: their last frame.
 _ASK_NS = 100 * NS_PER_MS
 #: Fewer slots than this without a frame are never a loss of signal, however long the slots are.
@@ -71,7 +71,7 @@ _RESETS = {
 
 
 #: Each reset without success doubles the next wait, up to this factor.
-_LARGEST_PATIENCE = 32
+_LARGEST_TIMEOUT_FACTOR = 32
 
 
 class ApplicationWatch:
@@ -88,15 +88,15 @@ class ApplicationWatch:
         self._timing = timing
         self._peer_sends_ns: int | None = None
         self._reset_ns = now_ns
-        self._patience = 1
+        self._timeout = 1
 
     def handle_first(self) -> None:
         """The first data arrived since the contact began or the link was reset."""
         self.arrived = True
-        self._patience = 1
+        self._timeout = 1
 
     def handle_contact(self, now_ns: int) -> None:
-        """A new contact or a new life of the peer began, in which nothing has arrived yet."""
+        """A new contact or a new start of the peer began, in which nothing has arrived yet."""
         self.arrived = False
         self._peer_sends_ns = None
         self._reset_ns = now_ns
@@ -132,10 +132,10 @@ class ApplicationWatch:
             if not approved or peer_fresh or self.sending(now_ns):
                 return None
             return self._reset("idle", now_ns)
-        wait_ns = self._timing.idle_ns * self._patience + self._timing.round_trip_ns
+        wait_ns = self._timing.idle_ns * self._timeout + self._timing.round_trip_ns
         if now_ns - max(peer_sends_ns, self._reset_ns) <= wait_ns:
             return None
-        self._patience = min(2 * self._patience, _LARGEST_PATIENCE)
+        self._timeout = min(2 * self._timeout, _LARGEST_TIMEOUT_FACTOR)
         return self._reset("broken", now_ns)
 
     def _reset(self, why: str, now_ns: int) -> str:
@@ -145,10 +145,10 @@ class ApplicationWatch:
 
 
 class Encounter(Enum):
-    """What to do with a stranger's stream, from this frame on.
+    """What to do with an unknown sender's stream, from this frame on.
 
-    IGNORE: nothing. RETURN: follow it, the same life of the peer sends it. RESTART: follow it,
-    another life of the peer sends it.
+    IGNORE: nothing. RETURN: follow it, the same start of the peer sends it. RESTART: follow it,
+    another start of the peer sends it.
     """
 
     IGNORE = auto()
@@ -160,14 +160,14 @@ class Supervisor:
     """One end's supervision; `Gateway` has its run loop.
 
     master: whether this end configures the other; exactly one does.
-    life: 1 to 65535, a new one at each start of this end; the shell draws it at random.
+    boot_id: 1 to 65535, a new one at each start of this end; the shell draws it at random.
     secret: seed of the fresh numbers by which a peer proves that it is there; the shell draws it at
         random, and nobody else may know it.
 
     state, why: the state of the link, and its reason.
     signal: frames of the peer's stream arrive.
     peer_hears: the peer is heard and says that it hears this end.
-    delivering: received data may be delivered to the applications, because this life of the peer
+    delivering: received data may be delivered to the applications, because this start of the peer
     was checked. It stays true during a loss of signal.
     next_ns: when `poll_transmit` has something to do.
     """
@@ -177,17 +177,17 @@ class Supervisor:
         *,
         master: bool,
         configuration: Configuration,
-        life: int,
+        boot_id: int,
         now_ns: int,
         timing: SupervisionTiming | None = None,
         secret: int = 0,
     ) -> None:
-        if not 1 <= life <= 0xFFFF:
-            raise ValueError(f"life is {life}: it must be from 1 to 65535")
+        if not 1 <= boot_id <= 0xFFFF:
+            raise ValueError(f"life is {boot_id}: it must be from 1 to 65535")
         self.master = master
         self.configuration = configuration
         self.timing = timing or SupervisionTiming()
-        self.life = life
+        self.boot_id = boot_id
         self.state = LinkState.CHECK
         self.why = "the local check has not been made"
         self.signal = False
@@ -203,17 +203,21 @@ class Supervisor:
         self._frame_ns = now_ns
         self.next_ns = now_ns
         self._negotiation = Negotiation(
-            master=master, configuration=configuration, life=life, timing=self.timing, now_ns=now_ns
+            master=master,
+            configuration=configuration,
+            boot_id=boot_id,
+            timing=self.timing,
+            now_ns=now_ns,
         )
         self._application = ApplicationWatch(self.timing, now_ns)
         self._pacing = MessagePacing(self.timing, now_ns)
         self._proof = Proof(secret, self.timing)
-        #: The newest message of the stranger's stream that matches.
-        self._stranger: SupervisionMessage | None = None
-        #: When a frame of any stranger came, and one of a stranger that may be the peer.
-        self._stray_ns = self._stranger_ns = now_ns - self.timing.silence_ns
+        #: The newest message of the unknown sender's stream that matches.
+        self._unknown: SupervisionMessage | None = None
+        #: When a frame of any unknown sender came, and one of an unknown sender that may be the peer.
+        self._stray_ns = self._unknown_sender_ns = now_ns - self.timing.silence_ns
         #: When to send a HELLO out of turn, if at all; when the last one was sent, and the last
-        #: one because of a stranger.
+        #: one because of an unknown sender.
         self._greet_ns: int | None = None
         self._greeted_ns = self._asked_ns = now_ns - self.timing.silence_ns
         #: Whether that HELLO is the first answer to a question; when the last such one was sent.
@@ -224,36 +228,36 @@ class Supervisor:
         self._counts = self._record.counts
 
     @property
-    def peer_life(self) -> int:
-        """The life of the peer that was checked; 0 before the first."""
-        return self._negotiation.peer_life
+    def peer_boot_id(self) -> int:
+        """The start of the peer that was checked; 0 before the first."""
+        return self._negotiation.peer_boot_id
 
-    def handle_stranger(
+    def handle_unknown_sender(
         self, message: bytes | None, now_ns: int, *, frames: int, lasts_ns: int
     ) -> Encounter:
         """A good frame of a stream that is not followed.
 
         message: its supervision message, or None. frames, lasts_ns: of its stream so far
-        (`StrangerFrame`).
+        (`UnknownFrame`).
 
         After RETURN and RESTART this very frame is one of the peer's stream.
         """
         self._stray_ns = now_ns
         if frames == 1:
-            self._stranger = None
-        told = None if message is None else self._hear_stranger(message, now_ns)
+            self._unknown = None
+        told = None if message is None else self._hear_unknown_sender(message, now_ns)
         if told is not None and frames:
-            self._stranger = told
+            self._unknown = told
         if told is not None and self._proof.answers(told.echo, now_ns):
-            if not (self.signal and told.life == self.peer_life):
+            if not (self.signal and told.boot_id == self.peer_boot_id):
                 return self._meet(told, now_ns, proven=True)
             # A late copy of the answer, which itself was lost. The peer's stream is there.
             self._proof.proven = True
-        known = self._stranger
+        known = self._unknown
         if known is not None and self._may_be_deaf(known, now_ns, frames, lasts_ns):
             return self._meet(known, now_ns, proven=False)
         if told is not None or lasts_ns >= _MUTE_NS:
-            self._stranger_ns = now_ns
+            self._unknown_sender_ns = now_ns
             # Without a signal, every message is a HELLO.
             if self.signal and self._greet_ns is None:
                 self._greet_ns = self._asked_ns + _ASK_NS
@@ -310,7 +314,7 @@ class Supervisor:
         """
         negotiation, counts = self._negotiation, self._counts
         self.handle_frame(now_ns)
-        before, before_life = negotiation.peer, negotiation.peer_life
+        before, before_boot_id = negotiation.peer, negotiation.peer_boot_id
         verdict = negotiation.handle_message(message, now_ns)
         if verdict is MessageVerdict.MALFORMED:
             counts["messages_malformed"] += 1
@@ -327,7 +331,7 @@ class Supervisor:
             return
         if verdict is MessageVerdict.MET:
             before = None
-            self._note_met(before_life, now_ns)
+            self._note_met(before_boot_id, now_ns)
         if verdict is not MessageVerdict.FITS:
             self._application.handle_contact(now_ns)
         peer = negotiation.peer
@@ -335,7 +339,7 @@ class Supervisor:
             if self._proof.answers(peer.echo, now_ns):
                 self._proof.proven = True
                 negotiation.handle_answer()
-            self._note_question(peer, now_ns)
+            self._note_challenge(peer, now_ns)
         self._note_hearing(now_ns)
         if peer is not None:
             if self.peer_hears and peer.kind in (MessageKind.ALIVE, MessageKind.CONFIRM):
@@ -354,20 +358,20 @@ class Supervisor:
         """The oldest event that was not fetched yet, or None."""
         return self._events.popleft() if self._events else None
 
-    def report(self, now_ns: int) -> SupervisionFigures:
+    def report(self, now_ns: int) -> SupervisionMetrics:
         """Return state, peer, counts, contact windows and the last transitions with reasons."""
         peer = self._negotiation.peer
         record = self._record
-        return SupervisionFigures(
+        return SupervisionMetrics(
             role="master" if self.master else "slave",
-            life=self.life,
+            boot_id=self.boot_id,
             state=self.state.name.lower(),
             why=self.why,
             signal=self.signal,
             peer_hears=self.peer_hears,
             delivering=self.delivering,
-            peer=OtherEndFigures(
-                life=self.peer_life, state=None if peer is None else peer.state.name.lower()
+            peer=OtherEndMetrics(
+                boot_id=self.peer_boot_id, state=None if peer is None else peer.state.name.lower()
             ),
             begun_ns=record.begun_ns,
             since_ns=record.since_ns,
@@ -379,11 +383,11 @@ class Supervisor:
             history=list(record.history),
         )
 
-    def _hear_stranger(self, data: bytes, now_ns: int) -> SupervisionMessage | None:
+    def _hear_unknown_sender(self, data: bytes, now_ns: int) -> SupervisionMessage | None:
         counts = self._counts
-        told = self._negotiation.handle_stranger(data, alone=not self.signal)
+        told = self._negotiation.handle_unknown_sender(data, alone=not self.signal)
         if isinstance(told, SupervisionMessage):
-            self._note_question(told, now_ns)
+            self._note_challenge(told, now_ns)
             return told
         if told is MessageVerdict.MALFORMED:
             counts["messages_malformed"] += 1
@@ -395,40 +399,40 @@ class Supervisor:
     def _may_be_deaf(
         self, told: SupervisionMessage, now_ns: int, frames: int, lasts_ns: int
     ) -> bool:
-        """Whether to follow a stranger that hears nobody, and so cannot answer."""
+        """Whether to follow an unknown sender that hears nobody, and so cannot answer."""
         if told.signal or frames < _DEAF_FRAMES:
             return False
-        if not self.peer_life:
+        if not self.peer_boot_id:
             return lasts_ns >= _DEAF_NS
         return lasts_ns >= _DEAF_LATER_NS and now_ns - self._frame_ns >= _PEER_SILENCE_NS
 
     def _meet(self, told: SupervisionMessage, now_ns: int, *, proven: bool) -> Encounter:
-        before_life = self.peer_life
+        before_boot_id = self.peer_boot_id
         self._proof.proven = proven
-        self._stranger = None
-        self._stranger_ns = now_ns - _ASK_NS
-        if not self._negotiation.meet(told.life):
+        self._unknown = None
+        self._unknown_sender_ns = now_ns - _ASK_NS
+        if not self._negotiation.meet(told.boot_id):
             self._update(now_ns)
             return Encounter.RETURN
         self._application.handle_contact(now_ns)
-        self._note_met(before_life, now_ns)
+        self._note_met(before_boot_id, now_ns)
         self._note_hearing(now_ns)
         self._update(now_ns)
         return Encounter.RESTART
 
-    def _note_met(self, before_life: int, now_ns: int) -> None:
-        self._counts["peer_restarts"] += before_life != 0
+    def _note_met(self, before_boot_id: int, now_ns: int) -> None:
+        self._counts["peer_restarts"] += before_boot_id != 0
         # Contexts from the peer's former life must not be reported as held.
         self._contexts = _NO_CONTEXTS
-        self._events.append(PeerMet(now_ns, self.peer_life, before_life != 0))
+        self._events.append(PeerMet(now_ns, self.peer_boot_id, before_boot_id != 0))
 
-    def _note_question(self, told: SupervisionMessage, now_ns: int) -> None:
-        """Answer a question at once, but not so often that strangers take the packets' place."""
+    def _note_challenge(self, told: SupervisionMessage, now_ns: int) -> None:
+        """Answer a question at once, but not so often that unknown senders take the packets' place."""
         if not told.number:
             return
         proof, timing = self._proof, self.timing
-        repeated = told.number == proof.echoed
-        proof.question = told.number
+        repeated = told.number == proof.response
+        proof.challenge = told.number
         settled = self.signal and proof.proven
         if repeated or settled:
             due_ns = max(now_ns, self._greeted_ns + timing.fast_ns)
@@ -474,7 +478,7 @@ class Supervisor:
                 self._answered_ns = now_ns
             self._greet_ns, self._prompt = None, False
             self._greeted_ns = now_ns
-            self._proof.echoed = message.echo
+            self._proof.response = message.echo
             if message.number:
                 self._asked_ns = now_ns
         self._counts["messages_sent"] += 1
@@ -544,7 +548,7 @@ class Supervisor:
     def _content(self) -> tuple[int, ...]:
         """Return the parts of a message whose change the peer must learn at once."""
         peer = self._negotiation.peer
-        heard = 0 if peer is None else peer.life
+        heard = 0 if peer is None else peer.boot_id
         return (self._kind(), self.state, self.signal, self._application.arrived, heard)
 
     def _kind(self) -> MessageKind:
@@ -557,7 +561,7 @@ class Supervisor:
         if self._greet_ns is None or now_ns < self._greet_ns:
             return regular
         # An answer that was given before can wait.
-        repeated = self._proof.question == self._proof.echoed
+        repeated = self._proof.challenge == self._proof.response
         return regular if repeated and now_ns >= self._pacing.due_ns else MessageKind.HELLO
 
     def _message(self, kind: MessageKind, now_ns: int) -> SupervisionMessage:
@@ -565,8 +569,8 @@ class Supervisor:
         peer = negotiation.peer
         number = echo = 0
         if kind is MessageKind.HELLO:
-            echo = proof.question
-            strange = now_ns - self._stranger_ns < _ASK_NS
+            echo = proof.challenge
+            strange = now_ns - self._unknown_sender_ns < _ASK_NS
             if strange or not (self.signal and proof.proven):
                 number = proof.number(now_ns)
         return SupervisionMessage(
@@ -578,8 +582,8 @@ class Supervisor:
             application=application.arrived,
             fresh=application.fresh(now_ns),
             sending=application.sending(now_ns),
-            life=self.life,
-            heard=0 if peer is None else peer.life,
+            boot_id=self.boot_id,
+            heard=0 if peer is None else peer.boot_id,
             digest=negotiation.digest,
             contexts=self._contexts,
             rates_kbps=negotiation.rates_kbps,

@@ -283,5 +283,5 @@ def _check_known(at: str, name: str, items: tuple[_Named, ...], kind: str) -> No
     if name in names:
         return
     near = get_close_matches(name, names, n=1, cutoff=0.0)
-    mend = f"the nearest one is {near[0]}" if near else f"define [{at.partition('.')[0]}.{kind}]"
-    raise ConfigError(f"{at}: {kind} {name!r} is unknown: {mend}")
+    fix = f"the nearest one is {near[0]}" if near else f"define [{at.partition('.')[0]}.{kind}]"
+    raise ConfigError(f"{at}: {kind} {name!r} is unknown: {fix}")

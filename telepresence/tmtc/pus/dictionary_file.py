@@ -2,7 +2,7 @@
 
 A table for each application, in it one for each parameter, structure, event, function and monitor,
 under its name; and `[[NAME.action]]`. The fields are those of `dictionary` and `values`. A mistake
-is a ConfigError of one line that names the table, the field and the mend.
+is a ConfigError of one line that names the table, the field and the fix.
 """
 
 from collections.abc import Mapping

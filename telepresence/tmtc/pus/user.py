@@ -131,12 +131,12 @@ class PusUser:
     send what `poll_transmit` returns until None, again at `poll_timeout`, and drain `next_event`.
 
     A telecommand is repeated, unchanged, until its end is verified, each time after twice the time
-    as before, up to 8 `timeout_ns`. After `patience_ns` it ends without verification.
+    as before, up to 8 `timeout_ns`. After `give_up_ns` it ends without verification.
 
     source: this user's number, 1 to 65535. foreign: the number of another ground system, 1 to 255,
     whose telecommands `forward` sends; None: there is none. first_count: random, so that the first
     telecommands of a restarted user are no repetitions. Raises ConfigError for a timeout that is
-    not positive, and for a patience of a minute or more: by then an application has forgotten the
+    not positive, and for a timeout of a minute or more: by then an application has forgotten the
     telecommand.
     """
 
@@ -147,10 +147,10 @@ class PusUser:
         source: int,
         first_count: int,
         timeout_ns: int = 500 * NS_PER_MS,
-        patience_ns: int = 30 * NS_PER_S,
+        give_up_ns: int = 30 * NS_PER_S,
         foreign: int | None = None,
     ) -> None:
-        if timeout_ns <= 0 or not timeout_ns <= patience_ns < 60 * NS_PER_S:
+        if timeout_ns <= 0 or not timeout_ns <= give_up_ns < 60 * NS_PER_S:
             raise ConfigError("telecommands need a timeout above 0, and a patience below 60 s")
         self.garbage = 0
         #: Reports about what is not open, and of applications that are in no table.
@@ -163,7 +163,7 @@ class PusUser:
         self._first_count = first_count % COUNT_MODULUS
         self._counts: dict[int, int] = {}
         self._open: Retransmission[_Open] = Retransmission(
-            timeout_ns=timeout_ns, most=_MOST_OPEN, patience_ns=patience_ns
+            timeout_ns=timeout_ns, most=_MOST_OPEN, give_up_ns=give_up_ns
         )
         self._events: deque[UserEvent] = deque()
 

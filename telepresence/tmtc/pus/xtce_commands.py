@@ -202,7 +202,7 @@ def _script(good: Iterable[int], bad: Iterable[int]) -> str:
     # Two boxed integers of Java are equal by identity only; a sign makes them numbers.
     return (
         "if (+apid.value == +sentApid.value && +count.value == +sentCount.value"
-        # The high octet of a source tells equal telecommands of two lives apart.
+        # The high octet of a source tells equal telecommands of two starts apart.
         " && (+destination.value & 255) == +sentSource.value) {"
         f" if ({among(good)}) return true;"
         f" if ({among(bad)}) return reason.value;"

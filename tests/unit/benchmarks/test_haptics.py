@@ -33,12 +33,12 @@ def test_samples_overtake_each_other_within_the_jitter_and_a_wrong_cell_is_refus
     assert sum(after < before for (_, before), (_, after) in pairwise(arrived)) > 2000
     assert read_cell("delay=100, wall=2000") == Cell(delay=100.0, wall=2000.0)
     assert read_cell("hand=arm-2kg,delay=5") == Cell(delay=5.0, hand="arm-2kg")
-    for text, mend in (
+    for text, fix in (
         *(("delay", "NAME=VALUE"), ("colour=1", "NAME=VALUE"), ("delay=far", "a number")),
         *(("delay=1001", "0 to 1000 ms"), ("delay=nan", "0 to 1000 ms"), ("loss=31", "0 to 30 %")),
         ("hand=third", "loose, soft, firm"),
     ):
-        with pytest.raises(ConfigError, match=mend):
+        with pytest.raises(ConfigError, match=fix):
             read_cell(text)
 
 

@@ -9,7 +9,7 @@ from synthetic_recording import LINK_CYCLES, LINK_NS, MS, PUBLISHED_NS, write_re
 from benchmarks.__main__ import main
 from benchmarks.json_reader import JsonReader
 from benchmarks.record.agreement import compare
-from benchmarks.record.figures import Kill, RecordResult, headlines
+from benchmarks.record.record_metrics import Kill, RecordResult, headlines
 from benchmarks.record.recount import recount
 
 

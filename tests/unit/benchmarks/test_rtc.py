@@ -1,6 +1,6 @@
 """The figures of the leg to a partner."""
 
-from benchmarks.rtc.figures import (
+from benchmarks.rtc.rtc_metrics import (
     CUT,
     NO_LEG,
     OURS,

@@ -6,12 +6,12 @@ import pytest
 
 from kontur_av import parts
 from kontur_av.errors import ConfigError
-from kontur_av.parts import PartDoor, find_part, make_part
+from kontur_av.parts import PluginRegistry, find_part, make_part
 from kontur_av.sources import spec as sources
-from telepresence.haptics.specs import JOYSTICK_DOOR, ROBOT_DOOR
+from telepresence.haptics.specs import JOYSTICK_PLUGINS, ROBOT_PLUGINS
 
-DOORS = (ROBOT_DOOR, JOYSTICK_DOOR, sources._VIDEO, sources._AUDIO)
-BUILT_IN = [(door, name) for door in DOORS for name in door.built_in]
+DOORS = (ROBOT_PLUGINS, JOYSTICK_PLUGINS, sources._VIDEO, sources._AUDIO)
+BUILT_IN = [(admission, name) for admission in DOORS for name in admission.built_in]
 
 
 def plain(text=""):
@@ -27,7 +27,7 @@ def faulty():
 
 
 HERE = {name: f"{__name__}:{name}" for name in ("plain", "asking", "faulty")}
-DOOR = PartDoor("thing", "plain or module:Class", "kontur_av.things", HERE)
+PLUGINS = PluginRegistry("thing", "plain or module:Class", "kontur_av.things", HERE)
 
 
 @pytest.fixture(autouse=True)
@@ -36,28 +36,28 @@ def here(monkeypatch):
 
 
 @pytest.mark.parametrize(("door", "name"), BUILT_IN)
-def test_each_built_in_part_is_found_without_reading_metadata(door, name, monkeypatch):
+def test_each_built_in_part_is_found_without_reading_metadata(admission, name, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(parts, "entry_points", None)
-    made, text = find_part(f"{name}:a:b", door)
+    made, text = find_part(f"{name}:a:b", admission)
     assert callable(made) and text == ("a:b",)
 
 
 @pytest.mark.parametrize("form", ["{}", "things:{}"])
 def test_a_part_gets_what_it_asks_for(form):
-    assert make_part(form.format("plain"), DOOR, axes=("z",)) == ("plain", "")
-    assert make_part(form.format("asking") + ":x:1", DOOR, axes=("z",)) == (("z",), "x:1")
+    assert make_part(form.format("plain"), PLUGINS, axes=("z",)) == ("plain", "")
+    assert make_part(form.format("asking") + ":x:1", PLUGINS, axes=("z",)) == (("z",), "x:1")
     with pytest.raises(ConfigError, match="too many positional arguments"):
-        make_part("faulty:x", DOOR)
+        make_part("faulty:x", PLUGINS)
 
 
 def test_a_users_fault_is_theirs_and_ours_is_a_bug():
     with pytest.raises(ConfigError, match="cannot be made: ZeroDivisionError"):
-        make_part("things:faulty", DOOR)
+        make_part("things:faulty", PLUGINS)
     with pytest.raises(ZeroDivisionError):
-        make_part("faulty", DOOR)
+        make_part("faulty", PLUGINS)
 
 
 def test_what_is_unknown_is_told_what_may_stand_there():
     with pytest.raises(ConfigError, match=r"^thing 'plane': write plain or module:Class$"):
-        make_part("plane", DOOR)
+        make_part("plane", PLUGINS)

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.returned import PartError, one_line, taken
-from telepresence import JoystickFacts, JoystickReading, RobotFacts, RobotReading
+from telepresence import JoystickCapabilities, JoystickReading, RobotCapabilities, RobotReading
 
-KINDS = (RobotReading, JoystickReading, RobotFacts, JoystickFacts)
+KINDS = (RobotReading, JoystickReading, RobotCapabilities, JoystickCapabilities)
 REST = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -18,8 +18,10 @@ def test_numbers_of_numpy_become_those_of_python(number):
     found = taken(RobotReading, reading, "read()")
     assert found == RobotReading(1.0, 2.0, 3.0, 4.0, contact=True, joints=((1.0, 2.0),))
     assert {type(one) for one in found[:6]} == {float} and type(found.contact) is bool
-    facts = taken(RobotFacts, RobotFacts(name="arm", speed_m_s=number(1)), "facts")
-    assert type(facts.speed_m_s) is float
+    capabilities = taken(
+        RobotCapabilities, RobotCapabilities(name="arm", speed_m_s=number(1)), "facts"
+    )
+    assert type(capabilities.speed_m_s) is float
     held = taken(JoystickReading, (*REST, np.uint8(3), np.bool_(True), None), "read()")
     assert held == JoystickReading(*REST, 3, True)
 
@@ -34,10 +36,22 @@ def test_numbers_of_numpy_become_those_of_python(number):
         (RobotReading, RobotReading(*REST, joints=(1, 2)), "joints = 1: give a JointReading"),
         (JoystickReading, (*REST, "no"), "buttons = 'no': give a whole number"),
         (JoystickReading, (*REST, 0, "yes"), "dead_man = 'yes': give True or False"),
-        (RobotFacts, {"name": "arm"}, "a dict: give RobotFacts"),
-        (RobotFacts, RobotFacts(name="arm", takes="torque"), "'torque': one of force, position"),
-        (RobotFacts, RobotFacts(name="arm", speed_m_s=0.0), "0.0: give a number above 0"),
-        (JoystickFacts, JoystickFacts(name="", half_width_m=1, half_height_m=1), "give a text"),
+        (RobotCapabilities, {"name": "arm"}, "a dict: give RobotCapabilities"),
+        (
+            RobotCapabilities,
+            RobotCapabilities(name="arm", takes="torque"),
+            "'torque': one of force, position",
+        ),
+        (
+            RobotCapabilities,
+            RobotCapabilities(name="arm", speed_m_s=0.0),
+            "0.0: give a number above 0",
+        ),
+        (
+            JoystickCapabilities,
+            JoystickCapabilities(name="", half_width_m=1, half_height_m=1),
+            "give a text",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line_that_names_it(kind, value, said):

@@ -1,4 +1,4 @@
-"""What commands refuse: one line that names the mend, exit code 2, and nothing is begun or changed.
+"""What commands refuse: one line that names the fix, exit code 2, and nothing is begun or changed.
 
 A row is the words after the command, with what its message must say.
 """
@@ -65,7 +65,7 @@ REFUSALS = {
             "is that of input left"
         ),
         "TASKBOARD --source left=alsa:hw": "this input wants pictures",
-        "--setup spacejustin --source iss_mic=v4l2:/dev/video0": "wants sound",
+        "--setup spacejustin --source operator_mic=v4l2:/dev/video0": "wants sound",
         "TASKBOARD --source static=page --no-page": (
             "input static: source page needs the pages: leave --no-page out"
         ),
@@ -103,7 +103,7 @@ REFUSALS = {
         "TASKBOARD --radio-delay-ms 9 --radio-start 1": "leave the start out",
         "TASKBOARD --listen 0.0.0.0:27000": "add --end ground or --end space",
         "LISTEN --joystick page": "the joystick is in space; give it at --end space",
-        "LISTEN --source iss_camera=page": "iss_camera is captured at --end space; this",
+        "LISTEN --source operator_camera=page": "operator_camera is captured at --end space; this",
         "SPACE --source left=page": "left is captured at --end ground; this end has iss_",
         "SPACE --rtc": "--rtc: a partner joins the ground; give it at --end ground",
         "SPACE --ice-server turn:192.0.2.1": "give it at --end ground",

@@ -56,11 +56,11 @@ def test_a_wave_of_hevc_lets_a_decoder_join_and_heals_any_loss():
     late = decode(units[:100], codec="h265", since=30)
     assert min(late) == 59
     # One amid the stream, and one amid the wave that would heal it: the next wave does.
-    hurt = decode(units, codec="h265", lost=(40, 70))
-    assert list(hurt) == [*range(40), *range(89, 140)]
+    corrupted = decode(units, codec="h265", lost=(40, 70))
+    assert list(corrupted) == [*range(40), *range(89, 140)]
     # Loop filters at the edge of a wave are not exact.
     assert psnr_db(late[95].to_i420(), whole[95]) > 45
-    assert psnr_db(hurt[125].to_i420(), whole[125]) > 45
+    assert psnr_db(corrupted[125].to_i420(), whole[125]) > 45
 
 
 def test_a_decoder_that_holds_key_pictures_back_returns_all_of_them():
@@ -87,9 +87,9 @@ def test_garbage_is_counted_and_the_stream_continues():
         if i % 10 == 5:
             decoder.decode(rng.integers(0, 256, 400, np.uint8).tobytes(), i)
             decoder.decode(b"", i)
-            hurt = bytearray(unit.data)
-            hurt[len(hurt) // 2] ^= 0xFF
-            decoder.decode(bytes(hurt[: len(hurt) - 7]), i)
+            corrupted = bytearray(unit.data)
+            corrupted[len(corrupted) // 2] ^= 0xFF
+            decoder.decode(bytes(corrupted[: len(corrupted) - 7]), i)
     assert shown >= 55
     assert decoder.counts.frames_corrupt >= 6
 

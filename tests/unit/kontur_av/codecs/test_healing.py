@@ -43,18 +43,18 @@ def units():
 
 @pytest.mark.parametrize("lost", [{20}, {31, 32, 33}, {44}])
 def test_damage_ends_with_the_refresh_and_then_the_picture_is_right(units, lost):
-    healing, hurt = Healing(), []
+    healing, corrupted = Healing(), []
     for number, unit in enumerate(units):
         missed = len(lost) * (number == max(lost) + 1)
         if number not in lost and healing.handle_unit(received(unit.data, lost_before=missed)):
-            hurt.append(number)
+            corrupted.append(number)
     # Contiguous, and over within two refresh periods, because one may have begun before.
-    assert hurt == list(range(max(lost) + 1, hurt[-1] + 1))
-    assert len(hurt) <= 2 * FPS
+    assert corrupted == list(range(max(lost) + 1, corrupted[-1] + 1))
+    assert len(corrupted) <= 2 * FPS
     whole, broken = decode_all(units), decode(units, lost=lost)
     wrong = [n for n, one in broken.items() if not np.array_equal(one.to_i420(), whole[n])]
     assert wrong, "a loss does harm"
-    assert set(wrong) <= set(hurt), "what is called healed is right to the last bit"
+    assert set(wrong) <= set(corrupted), "what is called healed is right to the last bit"
 
 
 @pytest.mark.parametrize("lost", [3, 9, 12])
@@ -69,29 +69,29 @@ def test_pictures_shown_before_a_recovery_point_but_coded_after_it_stay_damaged(
         frame.pts = number
         packets += codec.encode(frame)
     units = [(packet.pts, bytes(packet)) for packet in [*packets, *codec.encode(None)]]
-    healing, hurt, kept = Healing(), set(), []
+    healing, corrupted, kept = Healing(), set(), []
     for at, (number, data) in enumerate(units):
         if number != lost:
             missed = units[at - 1][0] == lost
             unit = received(data, lost_before=missed, timestamp=(2**32 - 20 + number) % 2**32)
-            hurt |= {number} if healing.handle_unit(unit) else set()
+            corrupted |= {number} if healing.handle_unit(unit) else set()
             kept.append((number, data))
     whole, broken = (
         {p.timestamp: p.to_i420() for n, d in some for p in decoder.decode(d, n)}
         for some, decoder in ((u, VideoDecoder(reordered=True)) for u in (units, kept))
     )
     wrong = {n for n, picture in broken.items() if not np.array_equal(picture, whole[n])}
-    assert wrong and wrong <= hurt, (wrong - hurt, hurt)
-    assert len(hurt) <= 15  # one open GOP and its leading pictures
+    assert wrong and wrong <= corrupted, (wrong - corrupted, corrupted)
+    assert len(corrupted) <= 15  # one open GOP and its leading pictures
 
 
 @pytest.mark.parametrize(("back", "hurt"), [(3_000, True), (90_000, False), (2**31, False)])
-def test_after_a_recovery_point_time_may_begin_anew(back, hurt):
+def test_after_a_recovery_point_time_may_begin_anew(back, corrupted):
     healing, wave, other = Healing(), sei(6, b"\xb0"), b"\0\0\0\1\x01"
     assert healing.handle_unit(received(other, lost_before=1, timestamp=7))
     assert not healing.handle_unit(received(wave, timestamp=1_000))
     earlier = (1_000 - back) % 2**32
-    assert healing.handle_unit(received(other, timestamp=earlier)) is hurt
+    assert healing.handle_unit(received(other, timestamp=earlier)) is corrupted
     assert not healing.handle_unit(received(sei(5, b"") + b"\0\0\0\1\x65", timestamp=earlier))
     assert not healing.handle_unit(received(other, timestamp=earlier))
 
@@ -101,13 +101,13 @@ def test_without_feedback_the_worst_loss_is_healed_within_three_seconds():
     healing = Healing()
     units = encode(noise(5 * FPS), cap_bps=200_000)
     (first, second, *_) = (n for n, unit in enumerate(units) if recovery_pictures(unit.data))
-    hurt = [
+    corrupted = [
         number
         for number, unit in enumerate(units)
         if number != first
         and healing.handle_unit(received(unit.data, lost_before=number == first + 1))
     ]
-    assert second < hurt[-1] < first + 3 * FPS
+    assert second < corrupted[-1] < first + 3 * FPS
 
 
 def test_a_loss_during_healing_restarts_it_and_a_key_picture_heals_at_once():
@@ -140,13 +140,13 @@ def test_a_recovery_point_behind_other_messages_is_found():
 def test_after_a_loss_a_key_picture_heals_what_is_shown(codec):
     units = encode(noise(20), codec=codec, keyframes=(12,), refresh_s=60)
     healing, decoder = Healing(), VideoDecoder(codec)
-    hurt = [
+    corrupted = [
         number
         for number, unit in enumerate(units)
         if number != 5
         and healing.handle_unit(received(unit.data, lost_before=number == 6, codec=codec))
     ]
-    assert hurt == list(range(6, 12))
+    assert corrupted == list(range(6, 12))
     shown = decode(units, decoder=decoder, lost={5})
     assert set(shown) >= set(range(12, 20))
     assert codec == "h264" or decoder.counts.frames_corrupt + len(shown) == 19

@@ -43,7 +43,7 @@ def test_a_gap_is_asked_for_at_once_and_again_until_it_is_too_old():
     assert asked(asker, 60 * MS) == [1]
     assert asked(asker, 300 * MS) == []
     assert asker.poll_timeout() is None
-    assert (asker.mended, asker.given_up) == (1, 1)
+    assert (asker.repaired, asker.given_up) == (1, 1)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_gaps_of_up_to_128_packets_are_asked_for(sequences, lost):
     asker = asker_after(*sequences)
     assert (asker.poll_timeout() is not None) == bool(lost)
     assert asked(asker, 0) == lost
-    assert asker.mended == (102 in sequences[:2])
+    assert asker.repaired == (102 in sequences[:2])
 
 
 @given(st.lists(st.tuples(st.integers(0, 65_535), st.integers(0, 80)), max_size=60))
@@ -83,7 +83,7 @@ def test_the_numbers_of_a_new_source_begin_anew():
     take(asker, 5002, ssrc=10)
     # Generic NACK (RFC 4585 section 6.2.1) of 5001, by the receiver 1 for the source 10.
     assert asker.poll_transmit(0) == bytes.fromhex("81cd0003 00000001 0000000a 13890000")
-    assert (asker.sent, asker.mended, asker.given_up) == (1, 0, 0)
+    assert (asker.sent, asker.repaired, asker.given_up) == (1, 0, 0)
 
 
 def test_128_packets_at_most_are_asked_for_and_for_250_ms():
@@ -119,7 +119,7 @@ def test_a_packet_is_sent_again_after_20_ms_up_to_250_ms():
 
 def test_a_quarter_of_a_second_is_repeated_and_16000_octets_always():
     assert len(sent(20).handle_lost(list(range(20)), MS)) == 16
-    # A stranger cannot make the sender repeat without bound.
+    # An unknown sender cannot make the sender repeat without bound.
     history = sent(400)
     again = [len(history.handle_lost(list(range(400)), 2 * MS * round_)) for round_ in range(100)]
     assert sum(again) <= 100

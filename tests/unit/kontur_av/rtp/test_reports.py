@@ -12,8 +12,8 @@ from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.rtp.reports import (
     AVP_LEAST_NS,
     AVPF_LEAST_NS,
-    ReceptionFigures,
     ReceptionLog,
+    ReceptionMetrics,
     ReceptionReader,
     ReportTimer,
     report_interval_ns,
@@ -106,15 +106,15 @@ def test_the_sender_learns_loss_and_round_trip():
     assert block.highest_sequence == 65_536 + 4
     reader.handle_block(block, 650 * MS)
     # 20 ms there, 30 ms back; the 500 ms in between do not count.
-    assert reader.figures.lost == 2
-    assert abs(reader.figures.round_trip_ns - 50 * MS) < MS / 10
+    assert reader.metrics.lost == 2
+    assert abs(reader.metrics.round_trip_ns - 50 * MS) < MS / 10
     # Nothing was lost since then.
     log.handle_packet(5, 0, 700 * MS)
     again = log.block(800 * MS)
     assert (again.packets_lost, again.fraction_lost) == (2, 0)
 
 
-def test_a_report_block_has_the_figures_of_the_rfc():
+def test_a_report_block_has_the_metrics_of_the_rfc():
     """RFC 3550 appendices A.3 and A.8; the time since the last report in 1/65536 s."""
     # Each comes 20 ms later than the one before, of 10 ms: 900 ticks of jitter.
     log = log_of(*((number, 900 * number, 20 * number) for number in range(200)))
@@ -161,6 +161,6 @@ def test_of_16_reports_the_answer_is_dated():
         reader.handle_report_sent(number + 1 << 16, number * MS)
     for lsr, dlsr, round_trip_ns in ((1, 0, None), (0, 0, None), (2, 0, 99 * MS), (2, 1 << 16, 0)):
         reader.handle_block(RtcpReceiverInfo(7, 64, 3, 0, 0, lsr, dlsr), 100 * MS)
-        assert reader.figures == ReceptionFigures(
+        assert reader.metrics == ReceptionMetrics(
             lost=3, lost_share=0.25, round_trip_ns=round_trip_ns
         )

@@ -63,10 +63,10 @@ def test_a_capture_that_the_packets_tell_is_dated_without_a_report():
 
 def test_the_first_packet_of_a_source_is_dated_by_the_capture_it_tells():
     receiver = make_receiver(capture_time_id=3)
-    stranger = make_sender(capture_time_id=3, ssrc=9).video_packets(picture(500)).packets[0]
-    one, _ = feed(receiver, [stranger, *singles(2, capture_time_id=3, ssrc=8)])
+    unknown = make_sender(capture_time_id=3, ssrc=9).video_packets(picture(500)).packets[0]
+    one, _ = feed(receiver, [unknown, *singles(2, capture_time_id=3, ssrc=8)])
     assert receiver.capture_ns(one.timestamp) == pytest.approx(0, abs=TICK_NS)
-    receiver.handle_packet(stranger, 0)
+    receiver.handle_packet(unknown, 0)
     assert receiver.capture_ns(one.timestamp) == pytest.approx(0, abs=TICK_NS)
 
 
@@ -78,7 +78,7 @@ def test_only_the_source_keeps_its_report_and_one_candidate():
     for _, report in (other, third):
         receiver.handle_report(report, 1)
     assert receiver.capture_ns(event.timestamp) is not None
-    # Of two strangers only the last one is remembered.
+    # Of two unknown senders only the last one is remembered.
     for packet, ssrc in ((other[0], 1), (third[0], 3)):
         receiver.handle_packet(packet, NS_PER_S)
         assert receiver.ssrc == ssrc

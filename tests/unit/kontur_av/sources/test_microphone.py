@@ -29,6 +29,6 @@ def test_what_a_device_lacks_is_named_with_the_mend(monkeypatch, device, told, c
 
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     monkeypatch.setattr(subprocess, "run", run)
-    mend = f"choose from `kontur-av devices`, or try alsa:plug{device}"
-    with pytest.raises(ConfigError, match=f"{re.escape(words + mend)}$"):
+    fix = f"choose from `kontur-av devices`, or try alsa:plug{device}"
+    with pytest.raises(ConfigError, match=f"{re.escape(words + fix)}$"):
         check_microphone(device)

@@ -19,7 +19,7 @@ from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
 from kontur_av.sources import check_spec, open_audio, open_video
-from pipelines.recording.messages import RecordedPicture, RecordedSound, pack
+from pipelines.recording.recorded_messages import RecordedPicture, RecordedSound, pack
 from pipelines.recording.schemas import descriptor_set
 
 WALL_NS = 1_800_000_000 * NS_PER_S

@@ -73,7 +73,7 @@ def test_a_group_is_heard_on_any_interface_and_from_the_named_sources_only(sourc
     # Loopback is an interface to which no route of groups leads.
     group, port, loopback = "239.255.7.9", two_ports(), socket.inet_aton(HOST)
     with closing(Receiving(group, port, sources=sources)) as end:
-        for host, garbage in ((HOST, b"a stranger's"), ("127.0.0.2", b"")):
+        for host, garbage in ((HOST, b"a unknown sender's"), ("127.0.0.2", b"")):
             with bound(host) as sender:
                 sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
                 for number in range(3):
@@ -93,15 +93,15 @@ def test_reports_are_taken_and_answered_where_they_come_from(ports):
         assert (found.rtp_packets, found.rtcp_reports, found.garbage) == (2, 1, 0)
         assert end.udp.reported
         # Feedback goes to the sender of reports alone.
-        with bound() as stranger:
-            stranger.sendto(b"\x80\xc9\0\1\0\0\0\7", (HOST, control))
+        with bound() as unknown:
+            unknown.sendto(b"\x80\xc9\0\1\0\0\0\7", (HOST, control))
             end.counts()
             end.udp.exchange(end.receiver, MonotonicClock())
             answer, source = sender.recvfrom(2000)
             assert answer[1] == 201 and source == (HOST, control)
-            stranger.setblocking(False)
+            unknown.setblocking(False)
             with pytest.raises(BlockingIOError):
-                stranger.recv(2000)
+                unknown.recv(2000)
 
 
 def sender_of_one_picture():

@@ -50,8 +50,8 @@ def test_two_trees_take_turns(tmp_path, monkeypatch, capsys):
     assert main(words) == 0
     assert asked == [ROOT, other, ROOT, other]
     assert "0.800 (0.800 to 0.800)" in capsys.readouterr().out
-    figures = json.loads(written.read_text())
-    assert [one["cpu_s_per_s"] for one in figures["against"]] == [1.0, 1.0]
+    metrics = json.loads(written.read_text())
+    assert [one["cpu_s_per_s"] for one in metrics["against"]] == [1.0, 1.0]
 
 
 #: Options of a bench that contradict or cannot be, and what the refusal names.

@@ -91,13 +91,13 @@ def test_the_known_skews_are_found(clips, tmp_path, capsys):
     plot = tmp_path / "p.png"
     both, felt = clips / "both.mp4", clips / "felt.csv"
     words = ["--video", both, "--audio", both, "--haptics", felt]
-    figures = bench(tmp_path / "r.json", *words, "--plot", plot)
-    assert len(figures["events"]) == len(TOUCHES)
-    for event, touch in zip(figures["events"], TOUCHES, strict=True):
+    metrics = bench(tmp_path / "r.json", *words, "--plot", plot)
+    assert len(metrics["events"]) == len(TOUCHES)
+    for event, touch in zip(metrics["events"], TOUCHES, strict=True):
         assert event["force"] == pytest.approx(touch, abs=0.002)
         assert 0 <= event["light"] - touch - LIGHT_S < 1 / FPS + 0.001
         assert event["click"] == pytest.approx(touch + CLICK_S, abs=0.001)
-    skews = figures["skew_ms"]
+    skews = metrics["skew_ms"]
     assert skews["audio_haptic"]["p50"] == pytest.approx(1000 * CLICK_S, abs=2)
     assert 1000 * LIGHT_S - 2 <= skews["video_haptic"]["p50"] <= 1000 * LIGHT_S + PERIOD_MS
     # 20 ms of 24; 45 of 15.

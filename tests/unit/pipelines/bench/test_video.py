@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pipelines.bench.course import marks
 from pipelines.bench.course.ends import ThinChannel, muxed_payload_octets, rtp_payload_octets
 from pipelines.bench.video.clips import film
-from pipelines.bench.video.figures import largest_bps, latest, mean_bps, percentiles, shown
+from pipelines.bench.video.quality import largest_bps, latest, mean_bps, percentiles, shown
 
 MS, S = 1_000_000, 1_000_000_000
 WIDTH, HEIGHT = 640, 480

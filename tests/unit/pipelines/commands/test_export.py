@@ -47,7 +47,7 @@ def test_a_matlab_file_has_the_tables_and_where_they_come_from(
     assert f"{out}: 19 tables" in capsys.readouterr().out
     found = loadmat(out, simplify_cells=True)
     assert (found["recording"]["session"], found["recording"]["parts"]) == ("kontur-1", 2)
-    assert found["recording"]["begin_wall_ns"] == written.facts.wall_ns
+    assert found["recording"]["begin_wall_ns"] == written.capabilities.wall_ns
     cycles = written.haptics["/haptic/up/sent"]
     assert found["haptic_up"]["fx_n"].tolist() == cycles["fx_n"].tolist()
     old = loadmat(out)

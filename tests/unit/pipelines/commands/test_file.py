@@ -37,8 +37,8 @@ def test_a_session_that_stays_silent_is_a_failure_and_a_pause_is_none(
 ):
     given = iter(answers)
     monkeypatch.setattr(file, "time", Time())
-    monkeypatch.setattr(file, "running_sessions", lambda _desk: ["s"])
+    monkeypatch.setattr(file, "running_sessions", lambda _service: ["s"])
     monkeypatch.setattr(file, "acting_on", lambda *_: "s")
-    monkeypatch.setattr(file, "ask_desk", lambda *_, **__: next(given))
+    monkeypatch.setattr(file, "send_request", lambda *_, **__: next(given))
     assert main(["file", "put", "a.txt"]) == code
     assert says in capsys.readouterr().err

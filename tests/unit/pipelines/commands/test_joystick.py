@@ -5,7 +5,7 @@ import json
 from pipelines.cli import main
 
 
-def test_a_check_prints_its_figures_and_list_names_the_simulated_one_and_its_faults(
+def test_a_check_prints_its_metrics_and_list_names_the_simulated_one_and_its_faults(
     tmp_path, capsys
 ):
     path = tmp_path / "r.json"

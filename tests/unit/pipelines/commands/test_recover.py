@@ -19,17 +19,17 @@ def torn(tmp_path):
 
 def test_recover_writes_beside_the_torn_file_which_stays(torn, capsys):
     assert main(["info", str(torn)]) == 0
-    assert f"`kontur-av recover {torn}` mends it" in capsys.readouterr().out
+    assert f"`kontur-av recover {torn}` fixes it" in capsys.readouterr().out
     assert main(["recover", str(torn)]) == 0
-    mended = torn.with_name("a.recovered.mcap")
-    assert capsys.readouterr().out.startswith(f"{mended}: ")
+    repaired = torn.with_name("a.recovered.mcap")
+    assert capsys.readouterr().out.startswith(f"{repaired}: ")
     assert torn.read_bytes() == TORN
-    scan, found, _ = scanned(mended.read_bytes())
-    assert scan.figures.sound
+    scan, found, _ = scanned(repaired.read_bytes())
+    assert scan.metrics.sound
     assert found == scanned(TORN)[1]
-    assert main(["recover", str(mended)]) == 0
-    assert capsys.readouterr().out == f"{mended} is whole: there is nothing to mend\n"
-    assert sorted(path.name for path in torn.parent.iterdir()) == ["a.mcap", mended.name]
+    assert main(["recover", str(repaired)]) == 0
+    assert capsys.readouterr().out == f"{repaired} is whole: there is nothing to fix\n"
+    assert sorted(path.name for path in torn.parent.iterdir()) == ["a.mcap", repaired.name]
 
 
 def test_recover_replaces_a_file_if_told_to_and_a_write_that_fails_leaves_nothing(
@@ -38,7 +38,7 @@ def test_recover_replaces_a_file_if_told_to_and_a_write_that_fails_leaves_nothin
     other = torn.with_name("other.mcap")
     other.write_bytes(b"precious")
     assert main(["recover", str(torn), "--out", str(other), "--overwrite"]) == 0
-    assert scanned(other.read_bytes())[0].figures.sound
+    assert scanned(other.read_bytes())[0].metrics.sound
 
     def full(_):
         raise OSError(28, "No space left on device")

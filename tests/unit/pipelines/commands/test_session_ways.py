@@ -6,7 +6,7 @@ import socket
 from types import SimpleNamespace
 
 from pipelines.commands.session_ways import files_arguments
-from pipelines.files.service_sockets import bound_services, services_wish
+from pipelines.files.service_sockets import bound_services, services_options
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import FILES, PAGES, Segment
 from pipelines.table import topology_of
@@ -24,7 +24,7 @@ def test_each_process_takes_what_it_is_given(tmp_path):
     )
     topology = topology_of(BUILT_IN["taskboard"], files=True, pages=True)
     ends = tuple(Segment)
-    with bound_services(services_wish(args, ends), files_arguments(args, ends)) as arguments:
+    with bound_services(services_options(args, ends), files_arguments(args, ends)) as arguments:
         assert {*arguments} == {*FILES.values(), PAGES[Segment.GROUND]}
         for name, given in arguments.items():
             row = topology.process(name)

@@ -20,8 +20,8 @@ def chosen(*words):
 def test_the_suggested_mends_for_a_missing_source_work_and_a_camera_called_a_mic_films(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(TOML.format("wrist"))
-    mend = r'give --source wrist=SPEC, or wrist = "SPEC" in \[sources\] of the setup file'
-    with pytest.raises(ConfigError, match=mend):
+    fix = r'give --source wrist=SPEC, or wrist = "SPEC" in \[sources\] of the setup file'
+    with pytest.raises(ConfigError, match=fix):
         chosen("--setup", str(path))
     named = chosen("--setup", str(path), "--source", "wrist=scene:head")
     assert named.source("wrist") == "scene:head"
@@ -38,9 +38,9 @@ def test_a_robot_brings_its_own_cameras_unless_the_user_names_others(tmp_path, m
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "seeing_robot.py").write_text(
-        "from telepresence.haptics.robot import RobotFacts\n"
+        "from telepresence.haptics.robot import RobotCapabilities\n"
         "class Arm:\n"
-        "    facts = RobotFacts(name='arm', sources={'head': 'own:Eye', 'tail': 'own:Eye'})\n",
+        "    facts = RobotCapabilities(name='arm', sources={'head': 'own:Eye', 'tail': 'own:Eye'})\n",
     )
     words = ["--setup", "spacejustin", "--robot", "seeing_robot:Arm"]
     assert chosen(*words).sources == {"head": "own:Eye"}

@@ -23,9 +23,9 @@ from pipelines.foxglove.client import MOST_AGE_NS
 from pipelines.media.key_picture_maker import last_key
 from pipelines.mission.tmtc_messages import CommandUpdate
 from pipelines.recording.channels import sources_of
-from pipelines.recording.messages import RecordedPicture, UnitFacts, unpack
+from pipelines.recording.recorded_messages import RecordedPicture, UnitMetadata, unpack
 from pipelines.recording.session_messages import Instants
-from pipelines.session.figures import Event, SessionEvents
+from pipelines.session.session_metrics import Event, SessionEvents
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
@@ -38,7 +38,7 @@ HEAD = struct.Struct("<BIQ")
 
 
 def new_bridge():
-    return Bridge(TOPOLOGY, "test", wall_offset_ns=NS_PER_S, life=1)
+    return Bridge(TOPOLOGY, "test", wall_offset_ns=NS_PER_S, boot_id=1)
 
 
 @pytest.fixture
@@ -113,10 +113,10 @@ def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing(b
         of_first += taken(bridge, first)
         of_late += [] if late is None else taken(bridge, late)
     assert len(of_first) == pictures(of_first) == 40
-    facts = [unpack(UnitFacts, data) for topic, _, data in of_late if topic.endswith("facts")]
+    metadata = [unpack(UnitMetadata, data) for topic, _, data in of_late if topic.endswith("facts")]
     of_late = [one for one in of_late if one[0] == VIDEO]
     assert len(of_late) == pictures(of_late) == 21
-    assert sorted(one.added for one in facts) == [False] * 20 + [True]
+    assert sorted(one.added for one in metadata) == [False] * 20 + [True]
     assert of_late[2:] == of_first[21:]
 
 
@@ -135,7 +135,7 @@ def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_pict
             shown += len(decoder.decode(unpack(RecordedPicture, data).data, number))
     assert shown == 20
     assert decoder.counts.frames_corrupt == 0
-    assert bridge.figures(NS_PER_S).undecodable == 10
+    assert bridge.metrics(NS_PER_S).undecodable == 10
 
 
 def test_who_reads_nothing_loses_the_oldest_and_begins_anew(bridge):
@@ -148,22 +148,22 @@ def test_who_reads_nothing_loses_the_oldest_and_begins_anew(bridge):
         if stamp.capture_ns > MOST_AGE_NS + NS_PER_S:
             of_slow += taken(bridge, slow)
     assert len(of_fast) == pictures(of_fast) == 150
-    figures = bridge.figures(5 * NS_PER_S).channels[VIDEO]
+    metrics = bridge.metrics(5 * NS_PER_S).channels[VIDEO]
     messages = [one for one in of_slow if isinstance(one, tuple)]
     (told,) = [one for one in of_slow if isinstance(one, dict)]
     assert "too slow" in told["message"] and VIDEO in told["message"]
     assert len(messages) == pictures(messages) > 30
-    assert figures.kept == len(of_fast) + len(messages)
+    assert metrics.kept == len(of_fast) + len(messages)
     # One more, which is the key picture.
-    assert figures.kept + figures.dropped == 2 * 150 + 1 and figures.dropped > 55
+    assert metrics.kept + metrics.dropped == 2 * 150 + 1 and metrics.dropped > 55
 
 
-def test_figures_and_events_come_whole_to_who_joins_late(bridge):
+def test_metrics_and_events_come_whole_to_who_joins_late(bridge):
     event = Event(number=1, at_us=3, what="link", text="signal")
-    bridge.handle_told(SessionEvents(at_us=5, events=[event], figures={"a": 1, "b": "x"}), 0)
+    bridge.handle_told(SessionEvents(at_us=5, events=[event], metrics={"a": 1, "b": "x"}), 0)
     number = joined(bridge)
     bridge.handle_text(number, '{"op":"subscribeParameterUpdates","parameterNames":[]}', 0)
-    bridge.handle_told(SessionEvents(at_us=6, events=[], figures={"a": 2, "b": "x"}), 0)
+    bridge.handle_told(SessionEvents(at_us=6, events=[], metrics={"a": 2, "b": "x"}), 0)
     changed = [{"name": "figures.a", "value": 2}]
     assert taken(bridge, number) == [{"op": "parameterValues", "parameters": changed}]
     bridge.handle_text(number, '{"op":"getParameters","parameterNames":["setup.name"],"id":"q"}', 0)

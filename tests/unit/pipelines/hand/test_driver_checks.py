@@ -5,7 +5,7 @@ from itertools import count
 from math import nan
 
 import pytest
-from places import ROOT
+from positions import ROOT
 from user_parts import Guided, load
 
 from kontur_av.clock import ManualClock
@@ -39,7 +39,7 @@ class Arm(Guided, Lever):
 class Placed(Mass):
     """A robot that takes places."""
 
-    facts = replace(Mass.facts, takes="position")
+    capabilities = replace(Mass.capabilities, takes="position")
 
     def deactivate(self):
         super().deactivate()
@@ -58,16 +58,16 @@ class Placed(Mass):
 class Alone(Mass):
     """A robot whose controller goes on by itself, and stops after 50 ms without a cycle."""
 
-    facts = replace(Mass.facts, runs_alone=True)
-    patience_ns = 50_000_000
+    capabilities = replace(Mass.capabilities, runs_alone=True)
+    timeout_ns = 50_000_000
     at_ns = 0
 
     def advance(self, dt_ns):
         alone_ns = CLOCK.now_ns() - self.at_ns if self.at_ns else dt_ns
         self.at_ns = CLOCK.now_ns()
-        for _ in range(min(alone_ns, self.patience_ns) // 1_000_000):
+        for _ in range(min(alone_ns, self.timeout_ns) // 1_000_000):
             super().advance(1_000_000)
-        if alone_ns > self.patience_ns:
+        if alone_ns > self.timeout_ns:
             self.vx = self.vy = 0.0
 
 
@@ -100,7 +100,7 @@ class LedWrist(Wrist):
 
     def __init__(self):
         super().__init__()
-        self.facts = replace(self.facts, takes="position")
+        self.capabilities = replace(self.capabilities, takes="position")
 
     write_position = Placed.write_position
 
@@ -108,15 +108,15 @@ class LedWrist(Wrist):
         super().deactivate()
         self.vx = self.vy = 0.0
 
-    def write_more_positions(self, places, speeds):
+    def write_more_positions(self, positions, speeds):
         if self.active:
-            for axis, place in zip(self.axes, places, strict=True):
-                axis.speed_m_s = (place * axis.lever_m - axis.place_m) * 50
+            for axis, position in zip(self.axes, positions, strict=True):
+                axis.speed_m_s = (position * axis.lever_m - axis.position_m) * 50
 
     def advance(self, dt_ns):
         Placed.advance(self, dt_ns)
         for axis in self.axes:
-            axis.place_m += axis.speed_m_s * dt_ns / 1e9
+            axis.position_m += axis.speed_m_s * dt_ns / 1e9
 
 
 def fault(device, check, faults=FAULTS):
@@ -136,7 +136,7 @@ def hasten(axis, times):
 
 
 def creep(axis, way_m):
-    axis.place_m += way_m
+    axis.position_m += way_m
 
 
 def told(device, name, change):
@@ -309,15 +309,16 @@ def z_goes_on_when_it_is_switched_off(wrist):
 
     wrist.deactivate = slide
     each_cycle(
-        wrist, lambda: setattr(z, "place_m", z.place_m + z.speed_m_s * 1e-3 * (not wrist.active))
+        wrist,
+        lambda: setattr(z, "position_m", z.position_m + z.speed_m_s * 1e-3 * (not wrist.active)),
     )
 
 
 #: Faults in one line each: a class of devices, the check that fails, and what breaks one.
 SIMPLE_FAULTS = [
     # Its facts cannot be.
-    (Lever, "facts", lambda d: given(d, "facts", replace(d.facts, half_width_m=nan))),
-    (Mass, "facts", lambda d: given(d, "facts", replace(d.facts, half_height_m=-0.1))),
+    (Lever, "facts", lambda d: given(d, "facts", replace(d.capabilities, half_width_m=nan))),
+    (Mass, "facts", lambda d: given(d, "facts", replace(d.capabilities, half_height_m=-0.1))),
     # Its y axis has no motor; yaw or z have none.
     (Lever, "moves", lambda d: told(d, "write_force", lambda x_n, y_n: (x_n, 0.0))),
     (Arm, "yaw moves", lambda d: told(d, "write_more_forces", lambda one: ([one[0], 0.0],))),
@@ -415,17 +416,17 @@ def test_a_fault_of_much_fails_its_check(device, check, breaks):
 
 def test_facts_of_another_type_are_refused_before_the_robot_has_power():
     robot = Mass()
-    robot.facts, robot.power_on = {"name": "arm"}, lambda: pytest.fail("it got power")
-    with pytest.raises(ConfigError, match="facts returned a dict: give RobotFacts"):
+    robot.capabilities, robot.power_on = {"name": "arm"}, lambda: pytest.fail("it got power")
+    with pytest.raises(ConfigError, match="facts returned a dict: give RobotCapabilities"):
         checked(robot)
 
 
 def test_axes_that_are_not_described_are_said_and_without_motors_only_sensors_are_checked():
     shapeless = Wrist()
-    shapeless.facts = replace(shapeless.facts, more=("z",))
-    assert checked(shapeless)[0].trouble == "facts returned more = a str: give AxisFacts"
+    shapeless.capabilities = replace(shapeless.capabilities, more=("z",))
+    assert checked(shapeless)[0].trouble == "facts returned more = a str: give AxisCapabilities"
     stick = Lever()
-    stick.facts = replace(stick.facts, force_limit_n=0.0)
+    stick.capabilities = replace(stick.capabilities, force_limit_n=0.0)
     results = checked(stick)
     assert [one.name for one in results if one.failed] == []
     assert {one.name for one in results if one.skipped} >= {"moves", "halt", "missed cycles"}
@@ -447,9 +448,9 @@ def test_the_command_checks_the_axes_of_a_setup_and_says_what_is_wrong(
     assert "but the setup has x, y, z" in capsys.readouterr().err
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken_stick.py").write_text(
-        "from telepresence import JoystickReading, JoystickFacts\n"
+        "from telepresence import JoystickReading, JoystickCapabilities\n"
         "class Stick:\n"
-        "    facts = JoystickFacts(name='a stick', half_width_m=-1, half_height_m=0.1)\n"
+        "    facts = JoystickCapabilities(name='a stick', half_width_m=-1, half_height_m=0.1)\n"
         "    def read(self): return JoystickReading(0.0, 0.0, 0.0, 0.0, dead_man=False)\n"
         "    def __getattr__(self, name): return lambda *values: None\n"
     )

@@ -6,10 +6,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pipelines.hand import hand_topics
+from telepresence.haptics.authority import Authority, ControlAuthority
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import REQUESTS
-from telepresence.haptics.ownership import HapticOwnership, Owner
 
 
 @given(
@@ -47,39 +47,39 @@ def test_other_octets_are_nothing(data):
     )
 
 
-def ask(desk, line):
-    desk.desk.handle_terminal(1)
-    desk.desk.handle_octets(1, line, now_ns=0)
-    reply = desk.desk.next_event()
-    assert reply.last and desk.desk.asking == []
+def ask(service, line):
+    service.service.handle_terminal(1)
+    service.service.handle_octets(1, line, now_ns=0)
+    reply = service.service.next_event()
+    assert reply.last and service.service.asking == []
     return reply.octets
 
 
 def test_an_order_stands_until_the_next_and_the_answer_says_who_drives():
-    desk = hand_topics.OwnerDesk()
-    answer = json.loads(ask(desk, b'{"owner": "partner"}\n'))
-    assert desk.order is Owner.PARTNER
+    service = hand_topics.ControlArbiter()
+    answer = json.loads(ask(service, b'{"owner": "partner"}\n'))
+    assert service.order is Authority.PARTNER
     assert answer["ok"] and answer["wanted"] == "partner" and "owner" not in answer
-    ownership = HapticOwnership(None)
-    ownership.handle_order(Owner.PARTNER, 0)
+    ownership = ControlAuthority(None)
+    ownership.handle_order(Authority.PARTNER, 0)
     for now_ns in (0, 10**9):
         ownership.handle_robot(0.0, now_ns)
-    desk.handle_state(
+    service.handle_state(
         hand_topics.ArmState.unpack(
             hand_topics.ArmState.of(ownership.report(), waiting=True).pack()
         )
     )
-    answer = json.loads(ask(desk, b"{}\n"))
+    answer = json.loads(ask(service, b"{}\n"))
     assert answer["owner"] == "partner" and answer["waiting"]
-    assert desk.order is Owner.PARTNER
+    assert service.order is Authority.PARTNER
 
 
 def test_an_unknown_owner_changes_nothing_and_garbage_gets_no_answer():
-    desk = hand_topics.OwnerDesk(Owner.PARTNER)
-    for owner in ("bob", 7, None, ["iss"], {"owner": "iss"}):
-        answer = json.loads(ask(desk, json.dumps({"owner": owner}).encode() + b"\n"))
+    service = hand_topics.ControlArbiter(Authority.PARTNER)
+    for authority in ("bob", 7, None, ["iss"], {"owner": "iss"}):
+        answer = json.loads(ask(service, json.dumps({"owner": authority}).encode() + b"\n"))
         assert not answer["ok"] and answer["mistake"]
         assert "take iss or partner" in answer["error"]
     for line in (b"\n", b"[" * 4000 + b"\n", b"\xff\n", b"", b"x" * 9000):
-        assert ask(desk, line) == b""
-    assert desk.order is Owner.PARTNER
+        assert ask(service, line) == b""
+    assert service.order is Authority.PARTNER

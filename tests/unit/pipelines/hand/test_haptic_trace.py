@@ -66,8 +66,8 @@ def test_flags_have_state_and_led(state, lit):
 
 
 def test_both_ends_trace_what_they_felt():
-    robot = RobotEnd(Probe(), robot_side(SafetyEnvelope(), life=1))
-    joystick = JoystickEnd(Probe(), life=2)
+    robot = RobotEnd(Probe(), robot_side(SafetyEnvelope(), boot_id=1))
+    joystick = JoystickEnd(Probe(), boot_id=2)
     blocks = {robot: [], joystick: []}
     for end in blocks:
         end.trace.handle_watched(True)

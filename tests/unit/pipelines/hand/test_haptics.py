@@ -7,16 +7,16 @@ from copy import deepcopy
 import pytest
 
 from kontur_av.clock import NS_PER_MS as MS
-from pipelines.hand.desks import RobotDesk
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
+from pipelines.hand.robot_commands import RobotCommands
 from pipelines.session.mission_messages import RobotCommand
 from pipelines.session.probe import Probe
+from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import ExperimentName, JoystickEvent, JoystickState
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.ownership import HapticOwnership, Owner, PartnerBoard
 from telepresence.haptics.sample import Feedback, pack_feedback
 
 GERMAN, RUSSIAN = JoystickEvent.START, JoystickEvent.START_RUSSIAN
@@ -42,26 +42,26 @@ class Bench:
 
     def __init__(self):
         self.handle = OperatedHandle(SimulatedDevice(hand=Hand()))
-        self.joystick = JoystickEnd(Probe(), life=1, handle=self.handle)
+        self.joystick = JoystickEnd(Probe(), boot_id=1, handle=self.handle)
         self.down, self.up = Way(15), Way(15)
         self.there, self.back = Way(8), Way(8)
         #: Whether the partner's robot can be reached; what a partner sends in its place.
         self.partner_runs, self.garbage = True, None
         self.now_ns = 0
-        self.start_ground(life=3)
-        self.start_partner(life=4)
+        self.start_ground(boot_id=3)
+        self.start_partner(boot_id=4)
 
-    def start_ground(self, *, life, orders=None):
-        wanted = Owner.PARTNER if orders is not None and orders.board else Owner.ISS
-        ownership = HapticOwnership(None, wanted=wanted)
+    def start_ground(self, *, boot_id, orders=None):
+        wanted = Authority.PARTNER if orders is not None and orders.board else Authority.ISS
+        ownership = ControlAuthority(None, wanted=wanted)
         self.board = board = PartnerBoard(ownership)
-        side = robot_side(SafetyEnvelope(), life=life, ownership=ownership)
+        side = robot_side(SafetyEnvelope(), boot_id=boot_id, ownership=ownership)
         self.ours = RobotEnd(Probe(), side, board=board)
-        facts = {"life": life, "tasks": False, "now_ns": self.now_ns}
-        self.desk = RobotDesk(self.ours.side, orders=orders, board=board, **facts)
+        capabilities = {"life": boot_id, "tasks": False, "now_ns": self.now_ns}
+        self.service = RobotCommands(self.ours.side, orders=orders, board=board, **capabilities)
 
-    def start_partner(self, *, life):
-        self.partner = robot_side(SafetyEnvelope(), life=life)
+    def start_partner(self, *, boot_id):
+        self.partner = robot_side(SafetyEnvelope(), boot_id=boot_id)
 
     def run(self, seconds):
         for _ in range(round(1000 * seconds)):
@@ -80,7 +80,7 @@ class Bench:
             self.board.handle_partner(data, now_ns)
         stopped = ours.envelope.stopped
         self.there.send(self.board.poll_partner(stopped=stopped), now_ns)
-        self.desk.step(now_ns)
+        self.service.step(now_ns)
         ours.handle_cycle(now_ns, MS)
         self.up.send(ours.poll_transmit(now_ns), now_ns)
         for data in self.there.take(now_ns):
@@ -139,8 +139,8 @@ def test_one_robot_at_a_time_follows_the_hand_and_the_port_stays_passive(bench):
         ours, partner, force = bench.ways(5)
         moved, still = (ours, partner) if mine else (partner, ours)
         assert moved > 0.02 and still < (1e-3 if mine else 1e-5) and force > 0.5, event
-        assert bench.desk.control.powered is mine
-        assert bench.desk.status(bench.now_ns).partner == ("ready" if mine else "driven")
+        assert bench.service.control.powered is mine
+        assert bench.service.status(bench.now_ns).partner == ("ready" if mine else "driven")
         for side in (bench.joystick.side, bench.ours.side, bench.partner):
             assert side.report().least_uj >= -1
     assert bench.board.ownership.report().turns == 4
@@ -183,7 +183,7 @@ def test_a_partner_that_vanishes_leaves_no_force_and_the_german_experiment_can_s
     assert ours < 1e-6 and force < 0.1
     assert operation.state is JoystickState.HALTED
     assert operation.reason == "no sample from the partner's robot for 5 s"
-    assert bench.desk.status(bench.now_ns).partner == "absent"
+    assert bench.service.status(bench.now_ns).partner == "absent"
     assert "not there" in bench.ask(RUSSIAN)
     assert bench.ask(GERMAN) == ""
     ours, _, _ = bench.ways(4)
@@ -194,12 +194,12 @@ def test_a_partner_that_vanishes_leaves_no_force_and_the_german_experiment_can_s
 def test_a_restarted_end_goes_on_with_the_russian_experiment(bench, killed):
     bench.switch(RUSSIAN)
     bench.run(4)
-    orders = bench.desk.orders
+    orders = bench.service.orders
     assert orders.board and orders.powered
     if killed == "ground":
-        bench.start_ground(life=9, orders=orders)
+        bench.start_ground(boot_id=9, orders=orders)
     else:
-        bench.start_partner(life=9)
+        bench.start_partner(boot_id=9)
     ours, partner, _ = bench.ways(5)
     assert ours < 1e-6 and partner > 0.01
 
@@ -226,8 +226,8 @@ def test_our_robot_cannot_be_switched_on_meanwhile_and_a_stop_here_holds_the_par
     bench.switch(RUSSIAN)
     bench.run(4)
     asked = RobotCommand(1, "power_on")
-    bench.desk.handle_command(asked, bench.now_ns, bench.now_ns)
-    refusal = bench.desk.status(bench.now_ns).command_refusal
+    bench.service.handle_command(asked, bench.now_ns, bench.now_ns)
+    refusal = bench.service.status(bench.now_ns).command_refusal
     assert refusal.startswith("the joystick drives the partner's robot")
     bench.ours.envelope.handle_stop(bench.now_ns)
     bench.run(0.2)
@@ -237,4 +237,4 @@ def test_our_robot_cannot_be_switched_on_meanwhile_and_a_stop_here_holds_the_par
     bench.switch(GERMAN)
     bench.run(1)
     # After an emergency stop somebody must switch it on.
-    assert not bench.desk.control.powered
+    assert not bench.service.control.powered

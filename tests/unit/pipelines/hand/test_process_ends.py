@@ -11,7 +11,7 @@ from pipelines.hand import partner_arm, process_ends, timed_calls
 from pipelines.hand.hand_topics import pack_input
 from pipelines.hand.process_ends import _hand
 from telepresence.haptics.device.page import PageDevice, PageInput
-from telepresence.haptics.figures import HandInputFigures
+from telepresence.haptics.haptic_metrics import HandInputMetrics
 
 
 def test_inputs_of_a_page_that_move_nothing_are_told():
@@ -20,7 +20,7 @@ def test_inputs_of_a_page_that_move_nothing_are_told():
     octets = iter([pack_input(one) for one in (*inputs, inputs[1])])
     reader = SimpleNamespace(latest_octets=lambda: next(octets))
     context = SimpleNamespace(
-        on_flush=flushes.append, probe=SimpleNamespace(tell=lambda figures: told.append(figures))
+        on_flush=flushes.append, probe=SimpleNamespace(publish=lambda metrics: told.append(metrics))
     )
     bus = SimpleNamespace(reader=lambda _topic: reader)
     take = _hand(context, bus, PageDevice(start_m=(0.0, 0.0)), "input")
@@ -28,7 +28,7 @@ def test_inputs_of_a_page_that_move_nothing_are_told():
         take(0)
     flushes[0]()
     # One out of range, and one that came again.
-    assert told == [HandInputFigures(inputs_ignored=2)]
+    assert told == [HandInputMetrics(inputs_ignored=2)]
 
 
 class Powered:

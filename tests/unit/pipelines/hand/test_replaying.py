@@ -8,11 +8,11 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.haptic_trace import ROW, flags_of
 from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
-from pipelines.recording.figures import ReplayFigures
 from pipelines.recording.process_replaying import ReplayStart
 from pipelines.recording.recorded_session import MOST_MORE_NS, cap_needed_bps, longest_wait_ns
-from pipelines.session.figures import ContactRow, SampleReceivedRow, SampleSentRow
+from pipelines.recording.recorder_metrics import ReplayMetrics
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import ContactRow, SampleReceivedRow, SampleSentRow
 
 BEGIN_NS = 7_000 * NS_PER_S
 HALF_NS = NS_PER_MS // 2
@@ -34,7 +34,7 @@ def pair(robot_rows, joystick_rows, *, speed=1.0):
     time = ReplayTime(recorded_ns=BEGIN_NS, replayed_ns=0, speed=speed)
     probes = [Probe(), Probe()]
     ends = [
-        ReplayedEnd(given, time, probe, robot=robot, life=5)
+        ReplayedEnd(given, time, probe, robot=robot, boot_id=5)
         for given, probe, robot in zip(
             (robot_rows, joystick_rows), probes, (True, False), strict=True
         )
@@ -53,7 +53,7 @@ def run(ends, cycles):
             if sample is not None:
                 receiver.handle_datagram(sample, now_ns)
     for end in ends:
-        end.tell()
+        end.publish()
 
 
 def test_each_recorded_cycle_is_sent_in_its_cycle_and_contacts_are_told():
@@ -96,12 +96,12 @@ def test_of_two_rows_in_one_cycle_the_newer_is_sent_and_a_late_process_tells_wha
     context = SimpleNamespace(
         started_ns=0,
         clock=SimpleNamespace(now_ns=lambda: 3 * NS_PER_S),
-        probe=SimpleNamespace(tell=told.append),
+        probe=SimpleNamespace(publish=told.append),
     )
     items = [(second * NS_PER_S, b"") for second in range(5)]
     script = ReplayStart(recorded_ns=0, lead_ns=NS_PER_S, speed=1.0).script(context, items, 1)
     # Those of seconds 0 and 1 were due at 1 s and 2 s.
-    assert told == [ReplayFigures(items_left_out=2)]
+    assert told == [ReplayMetrics(items_left_out=2)]
     assert script.poll_timeout() == 3 * NS_PER_S + 1
 
 
@@ -110,17 +110,19 @@ def test_the_cap_that_is_named_carries_the_units_and_one_less_does_not(large):
     """Pictures of 80 kbit/s, one of them large."""
     units = [(k * NS_PER_S // 25, 400) for k in range(250)]
     units[100] = units[100][0], 400 * large
-    facts = {"channel_bps": 120_000, "payload_octets": 1000}
+    capabilities = {"channel_bps": 120_000, "payload_octets": 1000}
 
     def needed(cap_bps, speed=1.0):
-        return cap_needed_bps(units, cap_bps=cap_bps, recorded_bps=85_000, speed=speed, **facts)
+        return cap_needed_bps(
+            units, cap_bps=cap_bps, recorded_bps=85_000, speed=speed, **capabilities
+        )
 
     assert needed(85_000) == 85_000
     named = needed(30_000)
     assert 60_000 < named < 85_000
-    most_ns = longest_wait_ns(units, cap_bps=85_000, **facts) + MOST_MORE_NS
-    assert longest_wait_ns(units, cap_bps=named, **facts) <= most_ns
-    assert longest_wait_ns(units, cap_bps=named - 1000, **facts) > most_ns
+    most_ns = longest_wait_ns(units, cap_bps=85_000, **capabilities) + MOST_MORE_NS
+    assert longest_wait_ns(units, cap_bps=named, **capabilities) <= most_ns
+    assert longest_wait_ns(units, cap_bps=named - 1000, **capabilities) > most_ns
     assert needed(named) == named
     assert needed(85_000, speed=2.0) > 110_000
 

@@ -8,16 +8,16 @@ from common import first_seed, repeats
 
 from kontur_av.clock import NS_PER_MS as MS
 from kontur_av.clock import NS_PER_S
-from pipelines.hand.desks import RobotDesk
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
+from pipelines.hand.robot_commands import RobotCommands
 from pipelines.hand.safety_ends import OperatorView, StopBit
 from pipelines.session.probe import Probe
 from pipelines.session.setup.setup_file import BUILT_IN
+from telepresence.haptics.authority import Authority, ControlAuthority
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
-from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.sample import Command, pack_command
 
 FREE = Command(0.0, 0.0, 0, dead_man=False)
@@ -47,10 +47,10 @@ class TwoMachines:
     def __init__(self, random, delay_ms, loss):
         self.random, self.delay_ms, self.loss = random, delay_ms, loss
         self.handle = OperatedHandle(SimulatedDevice(hand=Hand()))
-        self.joystick = JoystickEnd(Probe(), life=1, handle=self.handle)
+        self.joystick = JoystickEnd(Probe(), boot_id=1, handle=self.handle)
         self.envelope = SafetyEnvelope(delay_ns=2 * delay_ms * MS)
-        self.robot = RobotEnd(Probe(), robot_side(self.envelope, life=2))
-        self.desk = RobotDesk(self.robot.side, life=2, tasks=False, now_ns=0)
+        self.robot = RobotEnd(Probe(), robot_side(self.envelope, boot_id=2))
+        self.service = RobotCommands(self.robot.side, boot_id=2, tasks=False, now_ns=0)
         self.bit, self.ordered = StopBit(), None
         self.down, self.up = deque(), deque()
         self.now_ms = 0
@@ -61,8 +61,8 @@ class TwoMachines:
 
     def release_on_the_ground(self):
         self.envelope.handle_stop_released(self.now_ms * MS)
-        self.desk.step(self.now_ms * MS)
-        self.desk.control.set_power(True)
+        self.service.step(self.now_ms * MS)
+        self.service.control.set_power(True)
 
     def run(self, ms):
         """Return how far the tip goes (m)."""
@@ -79,7 +79,7 @@ class TwoMachines:
                 while came and came[0][0] <= self.now_ms:
                     end.handle_datagram(came.popleft()[1], now_ns)
                 if end is self.robot:
-                    self.desk.step(now_ns)
+                    self.service.step(now_ns)
                 end.handle_cycle(now_ns, MS)
                 data = end.poll_transmit(now_ns)
                 if data is not None and self.random.random() >= self.loss:
@@ -109,13 +109,13 @@ def test_each_press_of_stop_in_space_stops_whatever_was_released_on_the_ground(d
 
 @pytest.mark.rule("S6")
 @pytest.mark.parametrize(
-    ("owner", "other"), [(Owner.PARTNER, Owner.ISS), (Owner.ISS, Owner.PARTNER)]
+    ("owner", "other"), [(Authority.PARTNER, Authority.ISS), (Authority.ISS, Authority.PARTNER)]
 )
-def test_a_stop_of_who_does_not_drive_is_obeyed_once_each_time_it_is_given(owner, other):
+def test_a_stop_of_who_does_not_drive_is_obeyed_once_each_time_it_is_given(authority, other):
     envelope = SafetyEnvelope()
-    ownership = HapticOwnership(owner, wanted=owner)
-    robot = RobotEnd(Probe(), robot_side(envelope, life=1, ownership=ownership))
-    sources = {Owner.ISS: robot.handle_datagram, Owner.PARTNER: robot.handle_partner}
+    ownership = ControlAuthority(authority, wanted=authority)
+    robot = RobotEnd(Probe(), robot_side(envelope, boot_id=1, ownership=ownership))
+    sources = {Authority.ISS: robot.handle_datagram, Authority.PARTNER: robot.handle_partner}
 
     def send(**changes):
         for number in range(3):

@@ -65,7 +65,7 @@ def test_an_exercise_takes_the_signal_of_every_radio_that_is_here(radio_both_way
 
 
 def heard(end):
-    """The number of frames that came, strangers' included."""
+    """The number of frames that came, unknown senders' included."""
     report = end.gateway.receiver.report()
     return report.frames_received + sum(report.frames_dropped.values())
 
@@ -83,7 +83,7 @@ def test_with_a_radio_on_the_way_in_an_end_wakes_up_and_a_refused_datagram_leave
     assert (heard(plain), heard(here)) == (1, 0)
     assert here.handle_time(now_ns + round(delay_ns)) and not plain.handle_time(now_ns)
     assert heard(here) == 1
-    assert here.tell(now_ns).transmit.frames == 1
+    assert here.publish(now_ns).transmit.frames == 1
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
         udp.connect(("127.0.0.1", 9))
         out = Outlet(udp)

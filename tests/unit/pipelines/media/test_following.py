@@ -54,7 +54,7 @@ def test_a_camera_of_the_users_own_is_calibrated_and_without_a_fresh_tip_there_i
 
 @pytest.mark.rule("6")
 @pytest.mark.parametrize(
-    ("wrong", "mend"),
+    ("wrong", "fix"),
     [
         ({"region": "tip"}, "region 'tip': take one of off, stylus"),
         ({"region": "off", "region_points": {"static": CORNERS}}, 'add region = "stylus"'),
@@ -64,6 +64,6 @@ def test_a_camera_of_the_users_own_is_calibrated_and_without_a_fresh_tip_there_i
         ({"cameras": ("static",), "sources": OWN}, "name the board's corners in region_points"),
     ],
 )
-def test_a_region_that_cannot_work_is_refused(wrong, mend):
-    with pytest.raises(ConfigError, match=mend):
+def test_a_region_that_cannot_work_is_refused(wrong, fix):
+    with pytest.raises(ConfigError, match=fix):
         replace(SETUP, **wrong)

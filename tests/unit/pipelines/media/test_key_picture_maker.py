@@ -10,7 +10,7 @@ from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.media.key_picture_maker import H264Copy, KeyPictureMaker
 
-PATIENCE_S = 30.0
+TIMEOUT_S = 30.0
 WIDTH, HEIGHT = 128, 96
 
 
@@ -35,19 +35,19 @@ def shown(unit):
 
 def test_a_picture_is_coded_and_nobody_waits_while_that_of_many_units_is_made(maker):
     fine, coarse = maker.of_picture(picture()), maker.of_picture(picture(), 40)
-    assert np.abs(shown(fine.result(PATIENCE_S)) - picture()).max() < 16
-    assert len(coarse.result(PATIENCE_S)) < len(fine.result(PATIENCE_S))
+    assert np.abs(shown(fine.result(TIMEOUT_S)) - picture()).max() < 16
+    assert len(coarse.result(TIMEOUT_S)) < len(fine.result(TIMEOUT_S))
     # What was filmed is coded in the size of the stream.
     made = maker.of_filmed(picture(2 * WIDTH, 2 * HEIGHT), WIDTH, HEIGHT)
-    assert shown(made.result(PATIENCE_S)).shape == picture().shape
+    assert shown(made.result(TIMEOUT_S)).shape == picture().shape
     encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=30, cap_bps=400_000)
     frames = [VideoFrame(picture(number=n), CaptureStamp(n, n, "x")) for n in range(150)]
     units = [encoder.encode(frame).data for frame in frames]
     made = maker.of_units(units, WIDTH, HEIGHT)
     other = maker.of_units(units[:1], 2 * WIDTH, HEIGHT)
     assert not made.done()
-    assert np.abs(shown(made.result(PATIENCE_S)) - frames[-1].data).mean() < 4
-    assert other.result(PATIENCE_S) is None  # of another size
+    assert np.abs(shown(made.result(TIMEOUT_S)) - frames[-1].data).mean() < 4
+    assert other.result(TIMEOUT_S) is None  # of another size
 
 
 def hevc_units(count, refresh_s, key_at=None):

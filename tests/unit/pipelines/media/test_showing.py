@@ -9,8 +9,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import CaptureStamp, empty_picture
 from pipelines.media import showing
 from pipelines.media.process_display import _write
-from pipelines.session.figures import ClickRow, LightRow
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import ClickRow, LightRow
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 

@@ -26,7 +26,7 @@ class Selection:
         self.choice = CameraChoice(CAMERAS, Probe(), now_ns=now_ns, selected=selected)
         self.follower = follower or CameraFollower()
 
-    def tell(self, now_ns):
+    def publish(self, now_ns):
         """The sender hears the choice; True if it is to follow another camera."""
         return self.follower.handle_choice(self.choice.poll_choice(now_ns))
 
@@ -50,12 +50,12 @@ def one():
 
 def test_the_completion_waits_until_the_sender_has_left_the_camera(one):
     choice, follower = one.choice, one.follower
-    assert one.tell(0)
+    assert one.publish(0)
     one.confirm(1)
     assert choice.next_event() == SetValues("camera", {"camera": "stereo"})
     assert one.ask("static", 1, 10)
     assert choice.next_event() is None
-    assert one.tell(10)
+    assert one.publish(10)
     assert follower.camera == "static"
     assert follower.leaving and follower.poll_confirmed(11) is None
     assert not follower.handle_sender(idle=False)
@@ -75,7 +75,7 @@ def test_the_completion_waits_until_the_sender_has_left_the_camera(one):
 
 def test_a_later_request_ends_an_earlier_one(one):
     choice, follower = one.choice, one.follower
-    one.tell(0)
+    one.publish(0)
     first = follower.poll_confirmed(0)
     one.ask("static", 1, 10)
     one.ask("head", 2, 11)
@@ -83,7 +83,7 @@ def test_a_later_request_ends_an_earlier_one(one):
     # An old confirmation completes nothing new.
     choice.handle_confirmed(first)
     assert one.answers() == {}
-    one.tell(12)
+    one.publish(12)
     follower.handle_sender(idle=True)
     one.confirm(13)
     assert one.answers() == {2: ""}
@@ -96,14 +96,14 @@ def test_a_later_request_ends_an_earlier_one(one):
 
 
 def test_a_restarted_selector_waits_for_its_own_number(one):
-    one.tell(0)
+    one.publish(0)
     old = one.follower.poll_confirmed(0)
     # It was killed after it kept the choice and before it published it.
     after = Selection("static", 1000, one.follower)
     after.choice.handle_confirmed(old)
     after.ask("static", 5, 1002)
     assert after.answers() == {}
-    after.tell(1002)
+    after.publish(1002)
     assert after.follower.leaving
     after.follower.handle_sender(idle=True)
     after.confirm(1003)
@@ -113,7 +113,7 @@ def test_a_restarted_selector_waits_for_its_own_number(one):
 def test_a_restarted_sender_confirms_the_first_choice_that_it_receives(one):
     one.ask("static", 1, 10)
     assert one.follower.poll_confirmed(10) is None
-    assert one.tell(15)
+    assert one.publish(15)
     one.confirm(20)
     assert one.answers() == {1: ""}
     # Functions of other applications are left alone.
@@ -124,7 +124,7 @@ def test_a_restarted_sender_confirms_the_first_choice_that_it_receives(one):
 def test_choice_and_confirmation_are_told_again_after_a_while_and_at_once_if_new(one):
     choice, follower = one.choice, one.follower
     assert choice.poll_timeout() == 0
-    assert one.tell(0)
+    assert one.publish(0)
     assert choice.poll_choice(AGAIN_NS - 1) is None
     assert choice.poll_timeout() == AGAIN_NS
     assert choice.poll_choice(AGAIN_NS) == Choice(0, "stereo")

@@ -33,7 +33,7 @@ class Ground:
     def __init__(self, memory=None, plan=None):
         self.now_ns = 0
         self.robot = RobotStatus(
-            life=1, powered=False, mode=ControlMode.POSITION, x_m=0, y_m=0, push_n=0
+            boot_id=1, powered=False, mode=ControlMode.POSITION, x_m=0, y_m=0, push_n=0
         )
         self.camera, self.recording, self.messages = "", False, []
         self.signal, self.exercise = True, False
@@ -147,7 +147,7 @@ def test_a_plan_repeats_a_run_that_failed_and_goes_on_after_one_that_a_person_en
     ground.change(fault="")
     ground.go(8)
     assert (ground.core.shown.task, ground.core.shown.run) == ("aiming", 2)
-    # Another life of the process goes on in the same place.
+    # Another start of the process goes on in the same place.
     assert ground.core.memory.planned == 0
     assert ground.ask("abort") == ""
     ground.go(12)
@@ -220,7 +220,7 @@ BEFORE = {
     RunStep.SEEN: {RunStep.TOLD},
 }
 ACTIONS = (
-    *("task", "task", "finish", "finish", "mend", "mend", "button", "select", "hand", "press"),
+    *("task", "task", "finish", "finish", "fix", "fix", "button", "select", "hand", "press"),
     *("release", "abort", "start", "fault", "halt", "link", "kill tasks", "kill panel", "trainer"),
 )
 
@@ -246,7 +246,7 @@ class Mission(Ground):
                 self.place = (0.05, 0.05) if at_start else self.panel.view.start_m
             case "press" | "release":
                 self.dead_man = action == "press"
-            case "mend":
+            case "fix":
                 self.halted, self.signal, self.exercise = "", True, False
                 self.change(fault="")
             case "finish":

@@ -30,15 +30,15 @@ class Space:
     """The end in space, with a joystick that a test plays."""
 
     def __init__(self, segment=Segment.SPACE):
-        self.end = TmtcEnd(segment, built_in_dictionary(), now_ns=0, first_count=1, life=1)
-        self.desk = JoystickSource(self.end, first_number=100)
+        self.end = TmtcEnd(segment, built_in_dictionary(), now_ns=0, first_count=1, boot_id=1)
+        self.service = JoystickSource(self.end, first_number=100)
         self.now_ns = 0
 
     def status(self, state=JoystickState.APPLICATION, temperature_c=23.0, **more):
         self.now_ns += S
         values = {"reason": "", "dead_man": True, "force_limit_n": 12.0, "device": "test"}
         values |= {"half_width_m": 0.1, "half_height_m": 0.1, "temperature_c": temperature_c}
-        self.desk.handle_status(JoystickStatus(state=state, **(values | more)), self.now_ns)
+        self.service.handle_status(JoystickStatus(state=state, **(values | more)), self.now_ns)
         return self.news()
 
     def news(self):
@@ -85,7 +85,7 @@ def measured(report):
 
 def requests(space, news):
     asked = [one for one in news if isinstance(one, FunctionAsked)]
-    return [unpack_request(space.desk.handle_asked(one, 0)) for one in asked]
+    return [unpack_request(space.service.handle_asked(one, 0)) for one in asked]
 
 
 def test_a_hot_joystick_is_halted_by_a_rule_of_the_dictionary(space):
@@ -169,10 +169,10 @@ def test_signal_and_force_are_watched_and_joints_are_housekeeping(ground, robot)
 
 def test_what_the_functional_test_measured_is_an_event(space):
     space.status(test="running", test_number=1)
-    figures = {"left end": 99.5, "stiffness x": None, "Coulomb friction y": 0.5}
+    metrics = {"left end": 99.5, "stiffness x": None, "Coulomb friction y": 0.5}
     pressed = {f"button {number} pressed and let go": float(number != 2) for number in range(1, 5)}
     failed = {"test": "failed", "test_part": "buttons", "test_number": 1}
-    news = space.status(**failed, test_figures=figures | pressed)
+    news = space.status(**failed, test_metrics=metrics | pressed)
     assert events(news) == ["test_failed", "test_measured"]
     report = next(one for one in news if getattr(one, "name", "") == "test_measured")
     wanted = {"test_left_end": 99.5, "test_Coulomb_friction_y": 0.5, "test_buttons": 3.0}
@@ -192,7 +192,7 @@ def test_the_dictionary_has_each_measure_of_the_functional_test_and_the_modes_of
         handle.step(0.0, 0.0, S // 1000)
     report = handle.operation.test
     assert report.outcome == "passed"
-    names = {f"test_{one.name.replace(' ', '_')}" for one in report.figures if one.unit}
+    names = {f"test_{one.name.replace(' ', '_')}" for one in report.metrics if one.unit}
     known = {one.name for one in built_in_dictionary().application("joystick").parameters}
     assert names and names <= known
     mode = built_in_dictionary().application("robot").parameter("mode")
@@ -201,7 +201,7 @@ def test_the_dictionary_has_each_measure_of_the_functional_test_and_the_modes_of
 
 def robot_status(**changes):
     known = {"powered": True, "mode": ControlMode.TELEPRESENCE, "push_n": 0.0}
-    return RobotStatus(life=1, x_m=0.0, y_m=0.0, **{**known, **changes})
+    return RobotStatus(boot_id=1, x_m=0.0, y_m=0.0, **{**known, **changes})
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def test_what_is_not_allowed_or_refused_by_the_end_is_reported():
     assert (report.service, report.destination, report.cuc) == (1, 3, 7 << 16)
     about = verification.parse_verification(report.subtype, report.data)
     assert (about.apid, about.count, about.failure) == (0x131, 9, Failure.REFUSED)
-    assert given.figures.outside_refused == 1
+    assert given.metrics.outside_refused == 1
     assert given.poll_report() is None
     given = bridge("all")
     request = passed(given, function("robot", "power_on", count=4))
@@ -80,10 +80,10 @@ def test_a_flood_is_dropped_a_stream_is_split_and_a_slow_peer_loses_no_half_pack
         given.handle_command(octets, 0)
     for number in range(100):
         given.handle_command(command("robot", 17, 1, count=number), 0)
-    assert given.figures.outside_garbage == 2
-    assert given.figures.outside_excess == 102 - bridges.COMMANDS_AT_ONCE
+    assert given.metrics.outside_garbage == 2
+    assert given.metrics.outside_excess == 102 - bridges.COMMANDS_AT_ONCE
     given.handle_command(command("robot", 17, 1, count=200), S)
-    assert given.figures.outside_excess == 102 - bridges.COMMANDS_AT_ONCE
+    assert given.metrics.outside_excess == 102 - bridges.COMMANDS_AT_ONCE
     first, second = command("robot", 17, 1), function("joystick", "halt")
     splitter = bridges.PacketSplitter()
     parts = [splitter.handle_octets(bytes([octet])) for octet in first + second]
@@ -127,7 +127,7 @@ class Ends:
 
     def __init__(self):
         self.ends = {
-            one: TmtcEnd(one, DICTIONARY, now_ns=0, first_count=5, life=1) for one in Segment
+            one: TmtcEnd(one, DICTIONARY, now_ns=0, first_count=5, boot_id=1) for one in Segment
         }
         self.ground = self.ends[Segment.GROUND]
 
@@ -186,7 +186,7 @@ def test_foreign_telecommands_leave_room_for_the_own_user():
 
 @pytest.mark.parametrize(("application", "name"), [("joystick", "halt"), ("robot", "power_off")])
 def test_a_system_that_began_anew_is_heeded_and_a_repetition_is_not(application, name):
-    """Its counts begin anew, too, so its telecommands are octet by octet those of its last life."""
+    """Its counts begin anew, too, so its telecommands are octet by octet those of its last start."""
     given, both, now_ns = bridge("all"), Ends(), 0
     octets = function(application, name, count=0)
 

@@ -9,7 +9,7 @@ import pytest
 from common import eventually
 
 from kontur_av.errors import ConfigError
-from pipelines.link.figures import pack_frames
+from pipelines.link.link_metrics import pack_frames
 from pipelines.packets.process_packets import FrameCopies, _Streams, parse_frames
 
 

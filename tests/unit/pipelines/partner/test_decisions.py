@@ -8,39 +8,39 @@ from pipelines.partner import decisions
 
 @pytest.mark.rule("10")
 def test_only_the_token_opens_the_door_and_many_strangers_are_turned_away_unread():
-    door = decisions.Door(token="secret")
-    assert door.check("Bearer secret", 0) is None
-    assert door.check("bearer  secret ", 0) is None
+    admission = decisions.Admission(token="secret")
+    assert admission.check("Bearer secret", 0) is None
+    assert admission.check("bearer  secret ", 0) is None
     wrong = (None, "", "Bearer", "Bearer secre", "Basic secret", "Bearer s\udcffcret")
-    statuses = [door.check(given, 0).status for given in (*wrong, *["Bearer guess"] * 24)]
+    statuses = [admission.check(given, 0).status for given in (*wrong, *["Bearer guess"] * 24)]
     assert statuses == [401] * 10 + [429] * 20
-    # Not those who have the token; and in the next second strangers are answered again.
-    assert door.check("Bearer secret", 0) is None
-    assert door.check("Bearer guess", NS_PER_S).status == 401
-    assert door.refused == {"token": 11, "strangers": 20}
-    door = decisions.Door(token="secret", most_viewers=2)
-    assert door.check_offer(viewers=1, now_ns=0) is None
-    assert door.check_offer(viewers=2, now_ns=0).status == 503
-    offers = [door.check_offer(viewers=None, now_ns=0) for _ in range(4)]
+    # Not those who have the token; and in the next second unknown senders are answered again.
+    assert admission.check("Bearer secret", 0) is None
+    assert admission.check("Bearer guess", NS_PER_S).status == 401
+    assert admission.refused == {"token": 11, "unknown_senders": 20}
+    admission = decisions.Admission(token="secret", most_viewers=2)
+    assert admission.check_offer(viewers=1, now_ns=0) is None
+    assert admission.check_offer(viewers=2, now_ns=0).status == 503
+    offers = [admission.check_offer(viewers=None, now_ns=0) for _ in range(4)]
     assert offers[:3] == [None] * 3 and offers[3].status == 429
 
 
 def test_who_watches_does_not_steer_and_who_steers_is_displaced_by_the_owner_alone():
-    door = decisions.Door(token="seen", hand_token="hand")
+    admission = decisions.Admission(token="seen", hand_token="hand")
     for token, steers, status in (
         *(("seen", False, None), ("seen", True, 403), ("hand", True, None)),
         *(("hand", False, 403), ("seen", None, None), ("hand", None, None)),
         *(("", True, 401), ("guess", None, 401)),
     ):
-        refusal = door.check(f"Bearer {token}", 0, steers=steers)
+        refusal = admission.check(f"Bearer {token}", 0, steers=steers)
         assert (refusal and refusal.status) == status, (token, steers)
-    assert decisions.Door(token="seen").check("Bearer ", 0, steers=True).status == 401
+    assert decisions.Admission(token="seen").check("Bearer ", 0, steers=True).status == 401
     # The present one was heard a second ago, or three.
     for heard_ns, lent, status in (
         *((2 * NS_PER_S, True, 409), (2 * NS_PER_S, False, None)),
         *((0, True, None), (None, True, None)),
     ):
-        refusal = door.check_hand(heard_ns=heard_ns, lent=lent, now_ns=3 * NS_PER_S)
+        refusal = admission.check_hand(heard_ns=heard_ns, lent=lent, now_ns=3 * NS_PER_S)
         assert (refusal and refusal.status) == status, (heard_ns, lent)
 
 
@@ -87,18 +87,18 @@ def test_a_silent_partner_gets_one_restart_of_ice_and_then_a_new_connection():
 def test_the_rate_follows_a_wish_only_below_what_is_sent_and_grows_back():
     rate = decisions.RateFollower(most_bps=1_500_000)
     # A calm scene: the partner saw little, so its estimate is low, and limits nothing.
-    assert not rate.handle_wish(300_000, 200_000, 0)
-    assert rate.handle_wish(600_000, 1_400_000, NS_PER_S)
+    assert not rate.handle_request(300_000, 200_000, 0)
+    assert rate.handle_request(600_000, 1_400_000, NS_PER_S)
     assert rate.bps == 600_000
     # A difference that is not worth a key picture, and one that comes too soon.
-    assert not rate.handle_wish(560_000, 600_000, 3 * NS_PER_S)
-    assert not rate.handle_wish(300_000, 600_000, NS_PER_S + NS_PER_MS)
-    assert rate.handle_wish(1, 600_000, 3 * NS_PER_S)
+    assert not rate.handle_request(560_000, 600_000, 3 * NS_PER_S)
+    assert not rate.handle_request(300_000, 600_000, NS_PER_S + NS_PER_MS)
+    assert rate.handle_request(1, 600_000, 3 * NS_PER_S)
     assert rate.bps == decisions.LEAST_BPS
     now_ns, steps = 3 * NS_PER_S, 0
     while rate.bps < 1_500_000:
         now_ns += 500 * NS_PER_MS
-        steps += rate.handle_wish(None, 90_000, now_ns)
+        steps += rate.handle_request(None, 90_000, now_ns)
         assert now_ns < 100 * NS_PER_S
     assert 10 <= steps <= 14
     assert rate.lowered == 2
@@ -116,10 +116,10 @@ def test_a_picture_is_skipped_after_large_ones_and_a_missing_unit_asks_for_a_key
     plan.handle_rate(400_000)
     changed = plan.handle_picture(400 * NS_PER_MS)
     assert (changed.keyframe, changed.cap_bps) == (True, 400_000)
-    plan = decisions.UplinkWish(most_bps=1_000_000)
+    plan = decisions.UplinkRequest(most_bps=1_000_000)
     told = [(7, True), (8, False), (10, False), (11, False), (13, True)]
     wanted = [plan.handle_unit(number, 100, key=key, now_ns=number) for number, key in told]
     assert wanted == [False, False, True, False, False]
     plan.handle_key_wanted()
-    assert plan.wish(watched=True) == decisions.Wish(1_000_000, 2)
-    assert plan.wish(watched=False) == decisions.Wish(0, 2)
+    assert plan.request(watched=True) == decisions.CodingRequest(1_000_000, 2)
+    assert plan.request(watched=False) == decisions.CodingRequest(0, 2)

@@ -115,9 +115,9 @@ def test_units_and_packets_arrive_as_they_were_coded_and_dated():
     # Every picture carries a playout delay of zero.
     sent = [one for one in pair.sent if not is_rtcp(one) and one[1] & 0x7F == 96]
     assert {elements_of(one)[3] for one in sent} == {bytes(3)}
-    figures = pair.sender.figures.sent["video"]
-    assert figures.reception.lost == 0
-    assert abs(figures.reception.round_trip_ns - 2 * DELAY_NS) < 3 * NS_PER_MS
+    metrics = pair.sender.metrics.sent["video"]
+    assert metrics.reception.lost == 0
+    assert abs(metrics.reception.round_trip_ns - 2 * DELAY_NS) < 3 * NS_PER_MS
 
 
 def test_lost_packets_are_mended_before_a_picture_is_given_up():
@@ -136,9 +136,9 @@ def test_lost_packets_are_mended_before_a_picture_is_given_up():
     pictures = drive(pair, 4)
     assert len(pictures) >= 97
     assert sum(event.unit.damaged for event in pictures) == 0
-    received = pair.receiver.figures.received["video"]
+    received = pair.receiver.metrics.received["video"]
     assert received.repeated > 10
-    assert pair.sender.figures.sent["video"].repeated >= received.repeated
+    assert pair.sender.metrics.sent["video"].repeated >= received.repeated
 
 
 def test_a_loss_that_cannot_be_mended_asks_for_a_key_picture():
@@ -154,8 +154,8 @@ def test_a_loss_that_cannot_be_mended_asks_for_a_key_picture():
 
     pair = Pair(lost)
     drive(pair, 3)
-    assert pair.receiver.figures.received["video"].keys_asked >= 1
-    assert pair.sender.figures.sent["video"].keys_asked >= 1
+    assert pair.receiver.metrics.received["video"].keys_asked >= 1
+    assert pair.sender.metrics.sent["video"].keys_asked >= 1
     assert pair.sender.take_key_request(3 * NS_PER_S)
     assert not pair.sender.take_key_request(3 * NS_PER_S)
 
@@ -174,7 +174,7 @@ def test_other_devices_of_the_partner_go_on_at_once(key):
     # What waits for its time when the new voice begins is dropped.
     assert len(set(range(200)) - {number for number, _ in pair.played()}) <= 4
     # Pictures of another camera are not predicted from those before.
-    assert (pair.receiver.figures.received["video"].keys_asked > 0) == (not key)
+    assert (pair.receiver.metrics.received["video"].keys_asked > 0) == (not key)
 
 
 @pytest.mark.rule("7")
@@ -187,17 +187,17 @@ def test_garbage_is_counted_a_wish_is_of_its_own_stream_and_a_stalled_sender_dro
             handle(octets, 0)
         pair.sender.handle_rtcp(octets, 0)
         pair.receiver.handle_rtp(bytes([0x90, 96]) + octets, 0)
-    assert pair.receiver.figures.garbage > 100
-    assert pair.sender.figures.garbage > 100
+    assert pair.receiver.metrics.garbage > 100
+    assert pair.sender.metrics.garbage > 100
     pair.events.clear()
     assert len(drive(pair, 2)) >= 40
     pair = Pair()
-    for ssrc, wish_bps in ((999, None), (102, 300_000)):
+    for ssrc, requested_bps in ((999, None), (102, 300_000)):
         pair.sender.handle_rtcp(rate_message(300_000, ssrc=5, media_ssrcs=[ssrc]), 0)
-        assert pair.sender.wish_bps == wish_bps
+        assert pair.sender.requested_bps == requested_bps
     pair = Pair()
     pair.sender.send_unit(AccessUnit(unit(0, 400_000), CaptureStamp(0, 0, "camera"), True), 0)
     now_ns = NS_PER_S
     pair.sender.send_unit(AccessUnit(unit(1), CaptureStamp(now_ns, 1, "camera"), False), now_ns)
-    assert pair.sender.figures.sent["video"].dropped == 1
+    assert pair.sender.metrics.sent["video"].dropped == 1
     assert pair.sender.take_key_request(now_ns)

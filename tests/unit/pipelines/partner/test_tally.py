@@ -1,15 +1,15 @@
 """The sums over all connections of partners outlive each of them."""
 
-from pipelines.partner.figures import RtcStreamFigures
-from pipelines.partner.tally import ConnectionSeen, MediaFigures, Tally, TrackFigures
+from pipelines.partner.partner_metrics import RtcStreamMetrics
+from pipelines.partner.tally import ConnectionSeen, MediaMetrics, Tally, TrackMetrics
 
 STREAMS = {"video": "rtc_video"}
 
 
 def seen(packets, *, connected=True, restarts=0):
-    track = TrackFigures(packets=packets, octets=10 * packets, dropped=7)
-    figures = MediaFigures(sent={"video": track}, received={}, garbage=1)
-    return ConnectionSeen(connected, restarts, figures, STREAMS)
+    track = TrackMetrics(packets=packets, octets=10 * packets, dropped=7)
+    metrics = MediaMetrics(sent={"video": track}, received={}, garbage=1)
+    return ConnectionSeen(connected, restarts, metrics, STREAMS)
 
 
 def test_connections_that_ended_stay_in_the_sums():
@@ -22,4 +22,4 @@ def test_connections_that_ended_stay_in_the_sums():
     tally.handle_connections({})
     assert tally.connections == 2
     assert (tally.total.restarts, tally.total.garbage) == (1, 2)
-    assert tally.total.streams == {"rtc_video": RtcStreamFigures(packets=9, octets=90)}
+    assert tally.total.streams == {"rtc_video": RtcStreamMetrics(packets=9, octets=90)}

@@ -5,10 +5,10 @@ from mcap.records import Message
 from recordings import FACTS_OF_A_TEST, WALL_NS, Step, write
 
 from pipelines.recording.channels import channels_of
-from pipelines.recording.facts import FACTS
 from pipelines.recording.inventory import ChannelInventory, inventory_lines, take_inventory
 from pipelines.recording.mcap_stream import McapStream
-from pipelines.recording.messages import ChannelLoss, RecorderLosses, pack
+from pipelines.recording.metadata import METADATA
+from pipelines.recording.recorded_messages import ChannelLoss, RecorderLosses, pack
 from pipelines.recording.scan import Recovery
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
@@ -40,7 +40,7 @@ def test_a_channel_counts_what_is_missing_and_its_longest_gap():
 
 def test_a_whole_recording():
     inventory = take_inventory(memoryview(WRITTEN.octets))
-    assert inventory.facts == FACTS_OF_A_TEST
+    assert inventory.metadata == FACTS_OF_A_TEST
     first, second, *empty = inventory.channels
     assert first.topic == "/channel/0"
     assert first.schema == "foxglove.CompressedVideo"
@@ -65,17 +65,17 @@ def state(octets):
 def test_torn_and_damaged_recordings_say_how_to_mend_them_and_losses_are_the_newest():
     octets = WRITTEN.octets
     assert state(octets[:-9]).startswith("torn or damaged: ")
-    assert state(octets[:-9]).endswith("; `kontur-av recover a.mcap` mends it")
+    assert state(octets[:-9]).endswith("; `kontur-av recover a.mcap` fixes it")
     without_summary = octets[: WRITTEN.pieces[-2].begin]
     assert state(without_summary).startswith("torn: its summary is missing, all that was written")
     # The last octet of an index.
     index = bytearray(octets)
     index[WRITTEN.pieces[-3].end - 1] ^= 1
     assert state(bytes(index)).startswith("damaged, but every message can be read")
-    mended = b"".join(Recovery(memoryview(octets[:-9])).pieces())
-    assert state(mended).startswith("mended: ")
+    repaired = b"".join(Recovery(memoryview(octets[:-9])).pieces())
+    assert state(repaired).startswith("fixed: ")
     stream = McapStream(library="kontur-av")
-    stream.handle_metadata(FACTS, FACTS_OF_A_TEST.items())
+    stream.handle_metadata(METADATA, FACTS_OF_A_TEST.items())
     (losses,) = (row for row in channels_of(SESSION) if row.topic == "/recorder/losses")
     stream.handle_channel(*losses.records())
     for dropped in (1, 5):

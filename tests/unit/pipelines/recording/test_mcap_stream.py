@@ -8,8 +8,8 @@ from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, channel, steps, write
 
-from pipelines.recording.facts import FACTS, RecordingFacts, is_sealed
 from pipelines.recording.mcap_stream import CHUNK_NS, CHUNK_OCTETS, McapStream
+from pipelines.recording.metadata import METADATA, RecordingMetadata, is_sealed
 
 
 def read(messages):
@@ -32,10 +32,10 @@ def test_the_plain_package_reads_what_was_written(script):
     assert [log_ns for _, _, log_ns, *_ in indexed] == sorted(log_ns for _, _, log_ns, *_ in told)
 
     assert reader.get_header().library == LIBRARY
-    (facts,) = reader.iter_metadata()
-    assert facts.name == FACTS
-    assert is_sealed(facts.name, facts.metadata)
-    assert RecordingFacts.of(facts.metadata) == FACTS_OF_A_TEST
+    (metadata,) = reader.iter_metadata()
+    assert metadata.name == METADATA
+    assert is_sealed(metadata.name, metadata.metadata)
+    assert RecordingMetadata.of(metadata.metadata) == FACTS_OF_A_TEST
 
     summary = reader.get_summary()
     assert {row.topic for row in summary.channels.values()} == {

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from recordings import FACTS_OF_A_TEST, LIBRARY, channel
 
 from kontur_av.errors import ConfigError
-from pipelines.recording.facts import FACTS
 from pipelines.recording.mcap_stream import McapStream
+from pipelines.recording.metadata import METADATA
 from pipelines.recording.part_files import check_recordable, clear_parts, part_path
 from pipelines.recording.recorded_parts import read_recording
 
@@ -17,13 +17,13 @@ PART_NS = 10**9
 ROWS = 5
 
 
-def octets_of(part, **facts):
+def octets_of(part, **metadata):
     """Part `part` of a recording: as many messages, each in a chunk of its own."""
     begin_ns = FACTS_OF_A_TEST.session_ns + part * PART_NS
     offset_ns = FACTS_OF_A_TEST.wall_ns - FACTS_OF_A_TEST.session_ns
-    changed = {"part": part, "session_ns": begin_ns, "wall_ns": begin_ns + offset_ns} | facts
+    changed = {"part": part, "session_ns": begin_ns, "wall_ns": begin_ns + offset_ns} | metadata
     stream = McapStream(library=LIBRARY)
-    stream.handle_metadata(FACTS, replace(FACTS_OF_A_TEST, **changed).items())
+    stream.handle_metadata(METADATA, replace(FACTS_OF_A_TEST, **changed).items())
     stream.handle_channel(*channel(0))
     for row in range(ROWS):
         at_ns, wall_ns = row * PART_NS // ROWS, begin_ns + offset_ns + row

@@ -8,7 +8,13 @@ from synthetic_recording import FACTS_OF_SYNTHETIC, octets_of_part, wall_ns, wri
 from kontur_av.errors import ProtocolError
 from pipelines.recording.channels import channels_of
 from pipelines.recording.joined import JoinedRecording, read_part
-from pipelines.recording.messages import NO_SAMPLE, RecordedPicture, UnitFacts, pack, unpack
+from pipelines.recording.recorded_messages import (
+    NO_SAMPLE,
+    RecordedPicture,
+    UnitMetadata,
+    pack,
+    unpack,
+)
 from pipelines.recording.recorded_session import read_session
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
@@ -27,7 +33,7 @@ def written(tmp_path_factory):
 
 def test_all_that_was_sent_comes_back_and_a_beginning_has_what_was_sent_until_then(written):
     session = session_of(memoryview(written.paths[0].read_bytes()))
-    assert session.facts == FACTS_OF_SYNTHETIC
+    assert session.metadata == FACTS_OF_SYNTHETIC
     for name in ("uplink_video", "downlink_video"):
         coded = [(unit.capture_ns, unit.data, unit.key, "h264") for unit in written.units[name]]
         assert session.pictures[name] == coded
@@ -58,7 +64,7 @@ def part_of(told):
 
 def test_what_the_recorder_put_ahead_of_a_part_is_left_out(written):
     """A key picture of its own, and parameter sets in front of the first unit."""
-    units, facts = (
+    units, metadata = (
         list(written.told[topic][5:])
         for topic in ("/uplink_video/sent", "/uplink_video/sent/facts")
     )
@@ -66,12 +72,12 @@ def test_what_the_recorder_put_ahead_of_a_part_is_left_out(written):
     units[0] = replace(units[0], data=pack(replace(value, data=b"\0\0\0\1\x67SPS" + value.data)))
     ahead_ns = units[0].log_ns - 1000
     key = RecordedPicture(wall_ns=wall_ns(ahead_ns), frame_id="", data=b"\0\0\0\1\x65added")
-    fact = replace(unpack(UnitFacts, facts[0].data), added=True, octets=len(key.data))
+    fact = replace(unpack(UnitMetadata, metadata[0].data), added=True, octets=len(key.data))
     told = [
         replace(units[0], log_ns=ahead_ns, data=pack(key)),
-        replace(facts[0], log_ns=ahead_ns, data=pack(fact)),
+        replace(metadata[0], log_ns=ahead_ns, data=pack(fact)),
         *units,
-        *facts,
+        *metadata,
     ]
     session = session_of(part_of(told))
     assert [unit.data for unit in session.pictures["uplink_video"]] == [

@@ -18,14 +18,15 @@ from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
-from pipelines.link.figures import pack_frames
 from pipelines.link.gateway_end import GatewayEnd
+from pipelines.link.link_metrics import pack_frames
 from pipelines.media.key_picture_maker import last_key
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, sources_of
-from pipelines.recording.facts import FACTS, RecordingFacts
 from pipelines.recording.mcap_stream import MAGIC
-from pipelines.recording.messages import (
+from pipelines.recording.metadata import METADATA, RecordingMetadata
+from pipelines.recording.own_pictures import KEY_TIMEOUT_NS
+from pipelines.recording.recorded_messages import (
     LinkReceived,
     LinkSent,
     RecordedEvent,
@@ -34,11 +35,10 @@ from pipelines.recording.messages import (
     RecordedPicture,
     RecordedSound,
     RecorderLosses,
-    UnitFacts,
+    UnitMetadata,
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.own_pictures import KEY_PATIENCE_NS
 from pipelines.recording.recorder import RETRY_NS, Recorder
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.session.probe import Probe
@@ -53,7 +53,7 @@ TOPOLOGY = topology_of(SETUP, recorder=True)
 OFFSET_NS = 1_800_000_000 * NS_PER_S
 SENT, ROBOT = "sent/uplink_video", "haptic/robot"
 SOURCES = {source.topic: source for source in sources_of(TOPOLOGY)}
-FACTS_OF_TEST = RecordingFacts(
+FACTS_OF_TEST = RecordingMetadata(
     session="test",
     setup=SETUP.name,
     setup_toml=setup_toml(SETUP),
@@ -112,7 +112,7 @@ class Disk:
 
     def counts(self, fate):
         """By channel, how many messages had a fate, if any."""
-        channels = self.recorder.figures(None).channels
+        channels = self.recorder.metrics(None).channels
         return {name: getattr(one, fate) for name, one in channels.items() if getattr(one, fate)}
 
 
@@ -233,8 +233,8 @@ def assert_sound(file, first, count):
     assert [each.log_time for each in video] == sorted(each.log_time for each in video)
     told = file["/uplink_video/sent/facts"]
     assert [each.sequence for each in told] == [each.sequence for each in video]
-    facts = [unpack(UnitFacts, each.data) for each in told]
-    assert [each.added for each in facts] == [True] + [False] * (count - first)
+    metadata = [unpack(UnitMetadata, each.data) for each in told]
+    assert [each.added for each in metadata] == [True] + [False] * (count - first)
 
 
 def shown(file, size):
@@ -259,8 +259,8 @@ def test_no_unit_is_lost_however_late_its_key_picture_comes(late):
     pictures = shown(second, units[60][1])[1:]
     for picture, (_, _, right) in zip(pictures, units[60:], strict=True):
         assert np.abs(picture - right).mean() < 1.5
-    figures = disk.recorder.figures(None)
-    assert (figures.lost, figures.late_keys) == (0, 0)
+    metrics = disk.recorder.metrics(None)
+    assert (metrics.lost, metrics.late_keys) == (0, 0)
 
 
 def test_while_a_key_picture_is_made_its_stream_waits_and_the_others_do_not():
@@ -299,14 +299,14 @@ def test_a_black_picture_takes_the_place_of_one_that_is_too_late(end, monkeypatc
     first = 180 if end == "time" else 60
     streamed(disk, count)
     if end == "time":
-        disk.pump(first * NS_PER_S // 30 + KEY_PATIENCE_NS)
-    late_keys = disk.recorder.figures(None).late_keys
+        disk.pump(first * NS_PER_S // 30 + KEY_TIMEOUT_NS)
+    late_keys = disk.recorder.metrics(None).late_keys
     if end != "recording":
         disk.make_keys()
     files = disk.end(count * NS_PER_S // 30)
     assert late_keys == (end != "recording")
     assert_sound(files[1], first, 120 if end == "part" else count)
-    assert not any(one.dropped for one in disk.recorder.figures(None).channels.values())
+    assert not any(one.dropped for one in disk.recorder.metrics(None).channels.values())
 
 
 @pytest.mark.rule("4")
@@ -338,7 +338,7 @@ def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_befor
     found = [each for each in torn.items() if isinstance(each, FoundMessage)]
     kept = sum(each.channel.topic == "/haptic/up/sent" for each in found)
     assert (kept > 0) == (chunks_before > 0)
-    counted = disk.recorder.figures(None).channels["/haptic/up/sent"]
+    counted = disk.recorder.metrics(None).channels["/haptic/up/sent"]
     assert counted.kept == kept + len(last["/haptic/up/sent"])
     assert counted.kept + counted.dropped == handled
     # The new part begins with the first try after the disk has room.
@@ -359,10 +359,10 @@ def test_a_part_ends_at_its_size_and_missed_samples_are_counted_by_channel():
     assert sequences == list(range(600))
     for part, octets in disk.files.items():
         (record,) = make_reader(BytesIO(bytes(octets))).iter_metadata()
-        assert record.name == FACTS
-        facts = RecordingFacts.of(record.metadata)
-        assert facts.part == part
-        assert facts.wall_ns - facts.session_ns == OFFSET_NS
+        assert record.name == METADATA
+        metadata = RecordingMetadata.of(record.metadata)
+        assert metadata.part == part
+        assert metadata.wall_ns - metadata.session_ns == OFFSET_NS
 
     # Missed samples are counted by channel in the file and in the report.
     disk = Disk()
@@ -434,12 +434,12 @@ def test_cameras_are_coded_cheaply_or_whole_as_the_setup_wants(cameras, kept, lo
                 disk.recorder.handle_camera(source, *coded, camera.stamp.capture_ns)
     (file,) = disk.end(3 * NS_PER_S)
     units = [unpack(RecordedPicture, each.data) for each in file["/camera/head"]]
-    assert (len(units), disk.recorder.figures("").lost) == (kept, lost)
+    assert (len(units), disk.recorder.metrics("").lost) == (kept, lost)
     assert H264.parameter_sets(units[0].data)
     assert {unit.frame_id for unit in units} == {"head"}
 
 
-def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
+def test_sounds_packets_metrics_and_frames_are_recorded_as_they_were():
     disk = Disk(link_frames=True)
     disk.pump(0)
     sources = {source.topic: source for source in sources_of(TOPOLOGY, link_frames=True)}
@@ -448,11 +448,11 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     gateway.frames_sent = []
     for number in range(3):
         gateway.handle_slot(number * NS_PER_MS)
-    figures = gateway.report(3 * NS_PER_MS)
+    metrics = gateway.report(3 * NS_PER_MS)
     given = {
         "sent/uplink_voice": b"opus",
         "tm/space/sent": b"no packet",
-        "figures/ground": msgspec.msgpack.encode(figures),
+        "figures/ground": msgspec.msgpack.encode(metrics),
         "frames/uplink/sent": pack_frames(gateway.frames_sent),
     }
     for topic, octets in given.items():
@@ -466,7 +466,7 @@ def test_sounds_packets_figures_and_frames_are_recorded_as_they_were():
     assert only(RecordedSound, "/uplink_voice/sent").data == b"opus"
     assert only(RecordedSound, "/uplink_voice/sent").wall_ns == OFFSET_NS + 5 * NS_PER_MS
     assert only(RecordedPacket, "/telemetry/space/sent").data == b"no packet"
-    assert only(LinkSent, "/link/uplink/sent").frames == figures.transmit.frames == 3
+    assert only(LinkSent, "/link/uplink/sent").frames == metrics.transmit.frames == 3
     assert only(LinkReceived, "/link/downlink/received").frames == 0
     frames = only(RecordedFrames, "/link/uplink/frames/sent")
     assert list(zip(frames.time_ns, frames.data, strict=True)) == gateway.frames_sent

@@ -47,7 +47,9 @@ def test_scripts_replace_what_sends_and_recoded_pictures_are_coded_by_the_stream
     table, recoded
 ):
     cameras = {row.name for row in table.processes} & CAPTURES
-    kept = {SESSION.input(name).process for name in ("left", "iss_camera")} if recoded else set()
+    kept = (
+        {SESSION.input(name).process for name in ("left", "operator_camera")} if recoded else set()
+    )
     assert cameras == kept
     names = {row.name for row in table.processes}
     assert names - kept == {row.name for row in SESSION.processes} - CAPTURES - {"stereo"}

@@ -13,9 +13,9 @@ from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, Step, scanned, steps, 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.sources.recorded_format import FORMAT_KEY
-from pipelines.recording.facts import FACTS, MENDED, RecordingFacts, sealed
 from pipelines.recording.inventory import take_inventory
 from pipelines.recording.mcap_stream import CHUNK_NS, HEAD, MAGIC, McapStream, octets_of
+from pipelines.recording.metadata import METADATA, REPAIRED, RecordingMetadata, sealed
 from pipelines.recording.scan import FoundMessage, Recovery, Scan
 
 #: Nine messages in chunks of two.
@@ -25,15 +25,15 @@ SCRIPT = [Step(200_000_000, count % 5, 0, bytes([count]) * 9) for count in range
 @given(steps)
 def test_a_whole_file_is_sound(script):
     written = write(script)
-    scan, found, (facts,) = scanned(written.octets)
+    scan, found, (metadata,) = scanned(written.octets)
     assert found == [message.read() for message in written.told]
-    assert RecordingFacts.of(facts.metadata) == FACTS_OF_A_TEST
+    assert RecordingMetadata.of(metadata.metadata) == FACTS_OF_A_TEST
     assert scan.header.library == LIBRARY
     assert scan.ours
     assert scan.formats == {"1"}
     assert {row.topic for row in scan.channels.values()} == {f"/channel/{n}" for n in range(5)}
-    assert scan.figures.sound
-    assert not scan.figures.holes
+    assert scan.metrics.sound
+    assert not scan.metrics.holes
 
 
 @given(steps, st.floats(0, 1), st.binary(max_size=30), st.booleans())
@@ -54,7 +54,7 @@ def test_a_file_cut_anywhere_lacks_at_most_its_last_second(script, share, garbag
     assert found == told[: len(found)]
     old = [message for message in written.told if message.now_ns <= until_ns - NS_PER_S]
     assert len(found) >= len(old)
-    assert scan.figures.sound == (octets == written.octets and end)
+    assert scan.metrics.sound == (octets == written.octets and end)
 
 
 def test_a_cut_loses_its_chunk_alone_a_copy_is_whole_and_empty_channels_stay():
@@ -65,22 +65,24 @@ def test_a_cut_loses_its_chunk_alone_a_copy_is_whole_and_empty_channels_stay():
         scan, found, _ = scanned(written.octets[:cut])
         # Of the message indexes behind it, nothing is needed.
         assert len(found) == (6 if cut < behind else 8)
-        assert cut >= behind or scan.figures.holes == ([(begin, cut)] if cut > begin else [])
-    _, told, (facts,) = scanned(write(SCRIPT).octets)
-    copied = other_program(told, facts=(facts.name, facts.metadata), use_chunking=False)
+        assert cut >= behind or scan.metrics.holes == ([(begin, cut)] if cut > begin else [])
+    _, told, (metadata,) = scanned(write(SCRIPT).octets)
+    copied = other_program(told, metadata=(metadata.name, metadata.metadata), use_chunking=False)
     scan, found, _ = scanned(copied)
     assert found == told
-    assert scan.ours and scan.figures.sound
+    assert scan.ours and scan.metrics.sound
     scan, found, _ = scanned(b"".join(begun(channel_of(one), CHUNK_NS) for one in ("/1", "/2")))
     assert [topic for topic, *_ in found] == ["/1"]
-    assert not scan.figures.sound
+    assert not scan.metrics.sound
     written = write([])
     torn = written.octets[: written.pieces[-1].begin]
-    mended = b"".join(Recovery(memoryview(torn)).pieces())
-    assert len(make_reader(BytesIO(mended)).get_summary().channels) == 5
+    repaired = b"".join(Recovery(memoryview(torn)).pieces())
+    assert len(make_reader(BytesIO(repaired)).get_summary().channels) == 5
 
 
-def other_program(messages, *, library="other", facts=("notes", {"by": "me"}), **options) -> bytes:
+def other_program(
+    messages, *, library="other", metadata=("notes", {"by": "me"}), **options
+) -> bytes:
     """A file of another program with these (topic, sequence, log_ns, publish_ns, data)."""
     stream = BytesIO()
     writer = Writer(stream, 100, **options)
@@ -91,7 +93,7 @@ def other_program(messages, *, library="other", facts=("notes", {"by": "me"}), *
             schema = writer.register_schema(topic, "jsonschema", b"{}") if topic != "/2" else 0
             names[topic] = writer.register_channel(topic, "json", schema)
         writer.add_message(names[topic], log_ns, data, publish_ns, sequence)
-    writer.add_metadata(*facts)
+    writer.add_metadata(*metadata)
     writer.finish()
     return stream.getvalue()
 
@@ -106,7 +108,7 @@ def test_a_file_of_another_program_is_read_but_not_mended(chunks, compression):
     scan, found, (notes,) = scanned(octets)
     assert found == OTHERS
     assert notes.metadata == {"by": "me"}
-    assert (scan.figures.sound, scan.ours, scan.header.library) == (True, False, "other")
+    assert (scan.metrics.sound, scan.ours, scan.header.library) == (True, False, "other")
     with pytest.raises(ProtocolError, match=r"written by other, not by kontur-av"):
         Recovery(memoryview(octets))
 
@@ -121,18 +123,18 @@ def test_a_mended_file_has_all_that_could_be_read(script, share):
             Recovery(memoryview(torn))
         return
     recovery = Recovery(memoryview(torn))
-    assert recovery.figures.sound == (torn == written.octets)
-    mended = b"".join(recovery.pieces())
+    assert recovery.metrics.sound == (torn == written.octets)
+    repaired = b"".join(recovery.pieces())
 
-    scan, again, (facts, note) = scanned(mended)
+    scan, again, (metadata, note) = scanned(repaired)
     assert again == found
-    assert scan.figures.sound
-    assert RecordingFacts.of(facts.metadata) == FACTS_OF_A_TEST
-    assert note.name == MENDED
-    assert note.metadata["unread_octets"] == str(recovery.figures.unread_octets)
-    assert Recovery(memoryview(mended)).figures.sound
+    assert scan.metrics.sound
+    assert RecordingMetadata.of(metadata.metadata) == FACTS_OF_A_TEST
+    assert note.name == REPAIRED
+    assert note.metadata["unread_octets"] == str(recovery.metrics.unread_octets)
+    assert Recovery(memoryview(repaired)).metrics.sound
 
-    reader = make_reader(BytesIO(mended), validate_crcs=True)
+    reader = make_reader(BytesIO(repaired), validate_crcs=True)
     read = [(channel.topic, message.data) for _, channel, message in reader.iter_messages()]
     assert sorted(read) == sorted((topic, data) for topic, *_, data in found)
 
@@ -158,19 +160,19 @@ def test_what_a_user_has_added_is_whole_and_stays(data, checked, torn):
     scan = Scan(memoryview(added))
     found = [item for item in scan.items() if not isinstance(item, FoundMessage)][1:]
     assert note in found and photo in found
-    assert not scan.figures.holes and scan.figures.sound == (not torn)
+    assert not scan.metrics.holes and scan.metrics.sound == (not torn)
 
-    mended = b"".join(Recovery(memoryview(added)).pieces())
-    reader = make_reader(BytesIO(mended), validate_crcs=True)
+    repaired = b"".join(Recovery(memoryview(added)).pieces())
+    reader = make_reader(BytesIO(repaired), validate_crcs=True)
     assert [*reader.iter_attachments()] == [photo]
     assert note in reader.iter_metadata()
 
 
-def begun(row, until_ns=0, facts=None) -> bytes:
+def begun(row, until_ns=0, metadata=None) -> bytes:
     """A recording with one message on this channel, ended or left open."""
     stream, octets = McapStream(library=LIBRARY), b""
-    if facts:
-        stream.handle_metadata(FACTS, sealed(FACTS, facts))
+    if metadata:
+        stream.handle_metadata(METADATA, sealed(METADATA, metadata))
     stream.handle_channel(None, row)
     stream.handle_message(row.id, b"", log_ns=0, publish_ns=0, sequence=0, now_ns=0)
     if not until_ns:
@@ -187,8 +189,8 @@ def channel_of(topic, version="1"):
 
 @pytest.mark.rule("7")
 @pytest.mark.parametrize(("version", "facts"), [("1", {"format": "2"}), ("2", None)])
-def test_a_newer_format_is_refused(version, facts):
-    newer = memoryview(begun(channel_of("/1", version), facts=facts))
+def test_a_newer_format_is_refused(version, metadata):
+    newer = memoryview(begun(channel_of("/1", version), metadata=metadata))
     with pytest.raises(ProtocolError, match=r"it has format 2, .* reads up to format 1"):
         Recovery(newer)
     with pytest.raises(ProtocolError, match=r"install a newer one"):

@@ -7,14 +7,14 @@ import pytest
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
 from pipelines.recording.channels import sources_of
-from pipelines.recording.messages import RecordedExperiment, RecordedLeds, unpack
+from pipelines.recording.recorded_messages import RecordedExperiment, RecordedLeds, unpack
 from pipelines.recording.session_messages import Instants, SessionMessages
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown, pack
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.tasks.definitions import Pattern
 from telepresence.tasks.panel_picture import PanelPicture
-from telepresence.tasks.places import spot_at
+from telepresence.tasks.positions import spot_at
 from telepresence.tasks.scores import ScoreKeeper
 from telepresence.tasks.task_files import built_in_tasks
 
@@ -30,13 +30,13 @@ def told():
     sources = {source.name: source for source in sources_of(session)}
     messages = SessionMessages(0)
 
-    def tell(channel, kind, sample, tick):
+    def publish(channel, kind, sample, tick):
         now_ns = tick * TICK_NS
         stamp, at = CaptureStamp(now_ns, tick, channel), Instants(now_ns, now_ns)
         found = messages.of_sample(sources[channel], pack(sample), stamp, at)
         return [unpack(kind, one.data) for one in found]
 
-    return tell
+    return publish
 
 
 def test_the_error_of_a_pursuit_is_computed_again(told):

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from told import gateway, message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.link.figures import SocketFigures
-from pipelines.media.figures import CaptureFigures, SelectorFigures
-from pipelines.report.collector import Collector, ProcessFigures
+from pipelines.link.link_metrics import SocketMetrics
+from pipelines.media.media_metrics import CaptureMetrics, SelectorMetrics
+from pipelines.report.collector import Collector, ProcessMetrics
 from pipelines.report.journeys import Skew
-from pipelines.session.figures import (
-    LoopFigures,
+from pipelines.session.probe import Message
+from pipelines.session.session_metrics import (
+    LoopMetrics,
     OutRow,
     RxRow,
     SampleReceivedRow,
@@ -23,11 +24,10 @@ from pipelines.session.figures import (
     ShownRow,
     TxRow,
 )
-from pipelines.session.probe import Message
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
-from telepresence.haptics.figures import SamplesReceived
-from telepresence.link.figures import SenderFigures
+from telepresence.haptics.haptic_metrics import SamplesReceived
+from telepresence.link.link_metrics import SenderMetrics
 
 SESSION = topology_of(BUILT_IN["spacejustin"])
 START_NS = 1_000 * NS_PER_S
@@ -38,8 +38,8 @@ def collector():
     return Collector(SESSION)
 
 
-def tell(collector, process, now_ns, *rows, stream="", figures=()):
-    told = message(*figures, rows=rows, stream=stream)
+def publish(collector, process, now_ns, *rows, stream="", metrics=()):
+    told = message(*metrics, rows=rows, stream=stream)
     collector.handle_message(process, Message.unpack(told.pack()), now_ns)
 
 
@@ -50,32 +50,32 @@ def ms(*values):
 def feel(collector, at_ms, latency_ms):
     """A force that was measured `latency_ms` before it was displayed to the hand."""
     (received,) = ms(at_ms)
-    tell(collector, "robot", received, SampleSentRow(at_ms, received - latency_ms * NS_PER_MS))
-    tell(collector, "joystick", received, SampleReceivedRow(at_ms, received))
+    publish(collector, "robot", received, SampleSentRow(at_ms, received - latency_ms * NS_PER_MS))
+    publish(collector, "joystick", received, SampleReceivedRow(at_ms, received))
 
 
 def show(collector, stream, at_ms, latency_ms):
     (displayed,) = ms(at_ms)
     row = ShownRow(at_ms, displayed - latency_ms * NS_PER_MS, displayed)
-    tell(collector, "space_display", displayed, row, stream=stream)
+    publish(collector, "space_display", displayed, row, stream=stream)
 
 
 def test_a_picture_with_a_missing_stage_has_a_latency_and_a_restarted_sender_one_rate(collector):
     show(collector, "uplink_video", 20, 20)
-    tell(collector, "uplink_video_receive", START_NS, RxRow(2, START_NS))
-    figures = collector.streams["uplink_video"]
-    assert figures.latency.count == 1
-    assert all(stage.count == 0 for stage in figures.stages.values())
+    publish(collector, "uplink_video_receive", START_NS, RxRow(2, START_NS))
+    metrics = collector.streams["uplink_video"]
+    assert metrics.latency.count == 1
+    assert all(stage.count == 0 for stage in metrics.stages.values())
     captured, displayed = ms(0, 20)
-    tell(collector, "uplink_video_send", displayed, TxRow(9, captured, captured, captured))
+    publish(collector, "uplink_video_send", displayed, TxRow(9, captured, captured, captured))
     row = ShownRow(9, captured + 40_000, displayed)
-    tell(collector, "space_display", displayed, row, stream="uplink_video")
+    publish(collector, "space_display", displayed, row, stream="uplink_video")
     assert collector.streams["uplink_video"].stamp_error.max == 40_000
     first, second, overtaken = ms(0, 500, 400)
     rows = [OutRow(at, 1000, 90_000) for at in (first, second, overtaken)]
-    tell(collector, "uplink_video_send", second, *rows[:2])
+    publish(collector, "uplink_video_send", second, *rows[:2])
     collector.process("uplink_video_send").handle_end()
-    tell(collector, "uplink_video_send", second, rows[2])
+    publish(collector, "uplink_video_send", second, rows[2])
     assert collector.streams["uplink_video"].rate.max_bps() == 24_000
 
 
@@ -113,32 +113,32 @@ def test_percentiles_of_a_signed_skew_equal_those_of_its_values(values):
 
 
 def test_the_counts_of_a_restarted_process_are_added(collector):
-    def count(slips, strangers, frames):
-        link = gateway(transmit=SenderFigures(frames=frames))
-        figures = LoopFigures(slips=slips), SocketFigures(strangers=strangers), link
-        tell(collector, "ground_gateway", START_NS, figures=figures)
+    def count(slips, unknown_senders, frames):
+        link = gateway(transmit=SenderMetrics(frames=frames))
+        metrics = LoopMetrics(slips=slips), SocketMetrics(unknown_senders=unknown_senders), link
+        publish(collector, "ground_gateway", START_NS, metrics=metrics)
 
     count(5, {}, 4)
     count(7, {"radio": 2}, 10)
-    figures = collector.process("ground_gateway")
-    assert figures.total(LoopFigures).slips == 7
-    figures.handle_end()
-    assert figures.total(LoopFigures).slips == 7
-    assert figures.link is None
+    metrics = collector.process("ground_gateway")
+    assert metrics.total(LoopMetrics).slips == 7
+    metrics.handle_end()
+    assert metrics.total(LoopMetrics).slips == 7
+    assert metrics.link is None
     count(2, {"radio": 1, "haptic": 4}, 3)
-    assert figures.total(LoopFigures).slips == 9
-    assert figures.total(SocketFigures).strangers == {"radio": 3, "haptic": 4}
-    assert [life.transmit.frames for life in figures.links()] == [10, 3]
-    assert figures.find(SamplesReceived) is None
-    assert figures.total(SamplesReceived).received == 0
+    assert metrics.total(LoopMetrics).slips == 9
+    assert metrics.total(SocketMetrics).unknown_senders == {"radio": 3, "haptic": 4}
+    assert [boot_id.transmit.frames for boot_id in metrics.links()] == [10, 3]
+    assert metrics.find(SamplesReceived) is None
+    assert metrics.total(SamplesReceived).received == 0
 
 
 def test_a_picture_is_compared_with_the_force_of_its_own_instant(collector):
     # Half a second of force in one report, with a growing latency.
     instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
     felt = [(k, sent_ns + (2 + k // 10) * NS_PER_MS) for k, sent_ns in instants]
-    tell(collector, "joystick", START_NS + NS_PER_S, *starmap(SampleReceivedRow, felt))
-    tell(collector, "robot", START_NS + NS_PER_S, *starmap(SampleSentRow, instants))
+    publish(collector, "joystick", START_NS + NS_PER_S, *starmap(SampleReceivedRow, felt))
+    publish(collector, "robot", START_NS + NS_PER_S, *starmap(SampleSentRow, instants))
     show(collector, "uplink_video", 132, 50)
     show(collector, "uplink_video", 462, 50)
     collector.handle_end()
@@ -159,8 +159,8 @@ def test_a_restarted_robot_has_no_latencies_of_its_previous_life(collector):
         # Every tenth sample of the first life is lost. The receiver reports first.
         felt = [(k, at + 3 * NS_PER_MS) for k, at in sent if begun_ms or k % 10]
         (now_ns,) = ms(told_ms + 100)
-        tell(collector, "joystick", now_ns, *starmap(SampleReceivedRow, felt))
-        tell(collector, "robot", now_ns, *starmap(SampleSentRow, sent))
+        publish(collector, "joystick", now_ns, *starmap(SampleReceivedRow, felt))
+        publish(collector, "robot", now_ns, *starmap(SampleSentRow, sent))
         show(collector, "uplink_video", told_ms - 10, 40)
     # The next message matches the waiting stamps.
     feel(collector, 5600, 3)
@@ -172,7 +172,7 @@ def test_a_restarted_robot_has_no_latencies_of_its_previous_life(collector):
 
 
 def test_a_process_is_silent_since_its_last_picture_and_keeps_what_was_told():
-    process = ProcessFigures()
+    process = ProcessMetrics()
     assert process.silent_ns(START_NS) == 0
     for now_ns in ms(0, 500, 1000):
         process.handle_message(message(), now_ns)
@@ -180,16 +180,16 @@ def test_a_process_is_silent_since_its_last_picture_and_keeps_what_was_told():
     # It has captured nothing since it began.
     assert process.silent_ns() == NS_PER_S
     captured_ns, now_ns = ms(900, 1500)
-    process.handle_message(message(CaptureFigures(captured_ns=captured_ns)), now_ns)
+    process.handle_message(message(CaptureMetrics(captured_ns=captured_ns)), now_ns)
     assert (process.capture.captured_ns, process.gives_since_ns) == (captured_ns, captured_ns)
     assert process.silent_ns() == 600 * NS_PER_MS
     assert process.silent_ns(captured_ns - 1) == 0
-    # A gauge that a new life does not know yet keeps its value.
+    # A gauge that a new start does not know yet keeps its value.
     process.handle_end()
-    process.handle_message(message(CaptureFigures(source_fault="a gap")), now_ns)
+    process.handle_message(message(CaptureMetrics(source_fault="a gap")), now_ns)
     capture = process.capture
     assert (capture.captured_ns, capture.source_fault) == (captured_ns, "a gap")
-    process = ProcessFigures()
+    process = ProcessMetrics()
     first = message(scheduler="fifo", last_error="broken")
     worse = replace(first, scheduler="other", last_error="worse")
     told = []
@@ -200,14 +200,14 @@ def test_a_process_is_silent_since_its_last_picture_and_keeps_what_was_told():
 
 
 def test_an_input_gives_since_its_last_pause_and_a_camera_is_selected_since_its_choice():
-    camera, selector, since = ProcessFigures(), ProcessFigures(), []
+    camera, selector, since = ProcessMetrics(), ProcessMetrics(), []
     for captured_ns in ms(0, 500, 2000, 3501, 4000):
-        camera.handle_message(message(CaptureFigures(captured_ns=captured_ns)), captured_ns)
+        camera.handle_message(message(CaptureMetrics(captured_ns=captured_ns)), captured_ns)
         since.append((camera.gives_since_ns - START_NS) // NS_PER_MS)
     # Three reports, 1.5 s, are no pause yet.
     assert since == [0, 0, 0, 3501, 3501]
     since.clear()
     for now_ns, name in zip(ms(0, 500, 1000), ("left", "left", "head"), strict=True):
-        selector.handle_message(message(SelectorFigures(selected=name)), now_ns)
+        selector.handle_message(message(SelectorMetrics(selected=name)), now_ns)
         since.append(selector.selected_ns)
     assert since == ms(0, 0, 1000)

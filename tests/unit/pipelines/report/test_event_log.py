@@ -9,8 +9,8 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.staleness import State
-from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigures
-from pipelines.mission.figures import TaskFigures
+from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics, SelectorMetrics
+from pipelines.mission.mission_metrics import TaskMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import DEPTH, EventLog
 from pipelines.session.session_switch import Order, SessionSwitch
@@ -18,10 +18,10 @@ from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.task_journal import TaskRow, TaskStep
 from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
-from telepresence.haptics.envelope import SafetyFigures
-from telepresence.haptics.figures import JoystickFigures, RobotFigures
-from telepresence.haptics.ownership import OwnerEvent
-from telepresence.link.figures import ContactFigures, ContactWindows
+from telepresence.haptics.authority import AuthorityEvent
+from telepresence.haptics.envelope import SafetyMetrics
+from telepresence.haptics.haptic_metrics import JoystickMetrics, RobotMetrics
+from telepresence.link.link_metrics import ContactMetrics, ContactWindows
 from telepresence.link.peer_path import OpenPath
 from telepresence.tasks.experiment import RunStep
 
@@ -38,8 +38,8 @@ class Session:
         self.log = EventLog(self.collector)
         self.switch = SessionSwitch()
 
-    def told(self, process, *figures, at_s=1.0, stream=""):
-        told = message(*figures, stream=stream)
+    def told(self, process, *metrics, at_s=1.0, stream=""):
+        told = message(*metrics, stream=stream)
         self.collector.handle_message(process, told, round(at_s * NS_PER_S))
 
     def look(self, at_s=1.0, processes=()):
@@ -60,7 +60,7 @@ def gateway(contacts=(), history=(), begun_ns=1_000_000, windows=None):
     supervision = SimpleNamespace(
         begun_ns=begun_ns,
         contacts=[
-            ContactFigures(acquired_ns=acquired, connected_ns=None, lost_ns=lost)
+            ContactMetrics(acquired_ns=acquired, connected_ns=None, lost_ns=lost)
             for acquired, lost in contacts
         ],
         history=list(history),
@@ -80,7 +80,7 @@ def test_signal_and_state_of_the_link_have_their_own_instants(session):
     session.told("space_gateway", gateway([(2000, 4500)], [between, CONNECTED, SEARCH]), at_s=2)
     lost = (1004, "link", "space: signal lost")
     assert session.look(2) == [lost, (1007, "link", "space: link search (no signal)")]
-    # Both gateways, and a new life of one.
+    # Both gateways, and a new start of one.
     session.told("ground_gateway", gateway([(2000, None)]), at_s=3)
     session.collector.handle_exit("space_gateway", "")
     session.told("space_gateway", gateway([(2000, None)], begun_ns=3 * NS_PER_S), at_s=3)
@@ -106,36 +106,36 @@ def test_a_camera_a_restart_and_the_joystick_are_told_once_each(session):
     def robot(restarts, error=""):
         return [ProcessNow(name="robot", restarts=restarts, running=True, error=error)]
 
-    session.told("selector", SelectorFigures(selected="stereo"))
+    session.told("selector", SelectorMetrics(selected="stereo"))
     assert session.look(1, robot(0)) == []
-    session.told("selector", SelectorFigures(selected="static"), at_s=1.7)
+    session.told("selector", SelectorMetrics(selected="static"), at_s=1.7)
     killed = robot(1, "ended by SIGKILL")
     assert session.look(2, killed) == [
         (1_700_000, "camera", "camera static selected"),
         (2_000_000, "process", "robot was started again: ended by SIGKILL"),
     ]
     assert session.look(2.5, killed) == []
-    unknown = dict.fromkeys(one.name for one in fields(JoystickFigures))
+    unknown = dict.fromkeys(one.name for one in fields(JoystickMetrics))
     for at_s, state, reason, words in (
         (3, "application", "", "application"),
         (4, "halt", "dead-man released", "halt (dead-man released)"),
     ):
-        session.told("joystick", JoystickFigures(**{**unknown, "state": state, "reason": reason}))
+        session.told("joystick", JoystickMetrics(**{**unknown, "state": state, "reason": reason}))
         assert session.look(at_s, killed) == [(at_s * 1_000_000, "joystick", f"joystick: {words}")]
     assert session.look(4.5, killed) == []
 
 
 def test_a_robots_fault_and_a_process_that_hangs_are_told_once(session):
     robot = ProcessNow(name="robot", restarts=0, running=True, error="")
-    session.told("robot", RobotFigures(fault="E217: gripper jammed"))
+    session.told("robot", RobotMetrics(fault="E217: gripper jammed"))
     told = [(1_000_000, "session", "robot: it is off: E217: gripper jammed")]
     assert session.look(1, [robot]) == told
     for at_s, words in ((2, "it hangs"), (3, "it was killed")):
         hung = [replace(robot, trouble=words)]
         assert session.look(at_s, hung) == [(at_s * 1_000_000, "process", f"robot: {words}")]
         assert session.look(at_s + 0.5, hung) == []
-    session.told("robot", RobotFigures())
-    stop = SafetyFigures(events=(OwnerEvent(NS_PER_S, "emergency stop by the cosmonaut"),))
+    session.told("robot", RobotMetrics())
+    stop = SafetyMetrics(events=(AuthorityEvent(NS_PER_S, "emergency stop by the cosmonaut"),))
     session.told("robot", stop, at_s=3)
     told = [(1_000_000, "session", "robot: emergency stop by the cosmonaut")]
     assert session.look(4, [robot]) == [*told, (4_000_000, "session", "robot: its fault is reset")]
@@ -143,7 +143,7 @@ def test_a_robots_fault_and_a_process_that_hangs_are_told_once(session):
 
 def test_a_stale_picture_and_a_fresh_one_again(session):
     def shown(state, age_ms, at_s):
-        gauges = DisplayFigures(age_ns=age_ms * NS_PER_MS, state=state)
+        gauges = DisplayMetrics(age_ns=age_ms * NS_PER_MS, state=state)
         session.told("space_display", gauges, at_s=at_s, stream="uplink_video")
         return session.look(at_s)
 
@@ -163,17 +163,17 @@ def test_a_stale_picture_and_a_fresh_one_again(session):
 
 
 def test_silent_inputs_and_faults(session):
-    session.told("camera_left", CaptureFigures(captured_ns=NS_PER_S, source_fault="unplugged"))
+    session.told("camera_left", CaptureMetrics(captured_ns=NS_PER_S, source_fault="unplugged"))
     assert session.look(1) == [(1_000_000, "input", "camera_left: unplugged")]
     assert session.look(4) == [(4_000_000, "input", "camera_left: no picture for 3 s (unplugged)")]
     assert session.look(4.5) == []
-    session.told("camera_left", CaptureFigures(captured_ns=5 * NS_PER_S), at_s=5)
+    session.told("camera_left", CaptureMetrics(captured_ns=5 * NS_PER_S), at_s=5)
     assert session.look(5) == [(5_000_000, "input", "camera_left gives again")]
 
 
 def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(session):
-    session.told("camera_left", CaptureFigures(captured_ns=NS_PER_S))
-    gauges = DisplayFigures(age_ns=40 * NS_PER_MS, state=State.FRESH)
+    session.told("camera_left", CaptureMetrics(captured_ns=NS_PER_S))
+    gauges = DisplayMetrics(age_ns=40 * NS_PER_MS, state=State.FRESH)
     session.told("space_display", gauges, stream="uplink_video")
     assert session.look(1) == []
     session.switch.handle_order(Order.STOP, 1_200_000_000)
@@ -183,7 +183,7 @@ def test_a_stop_on_request_is_one_event_and_nothing_in_it_is_stale_or_silent(ses
     session.switch.handle_order(Order.START, 9 * NS_PER_S)
     session.collector.handle_resumed(9 * NS_PER_S)
     # The picture of before does not count, and there is none yet.
-    session.told("space_display", DisplayFigures(), at_s=9, stream="uplink_video")
+    session.told("space_display", DisplayMetrics(), at_s=9, stream="uplink_video")
     assert session.look(9.5) == [(9_000_000, "session", "session started")]
     session.told("space_display", gauges, at_s=10, stream="uplink_video")
     assert session.look(10) == []
@@ -194,11 +194,11 @@ def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
         steps = [TaskStep(at_ns=at_us * 1000, step=step.value) for at_us, step in steps]
         zero = dict.fromkeys(("path_m", "force_max_n", "force_mean_n", "delay_ms"), 0.0)
         zero |= {"error_mean": None, "error_max": None, "frames": 0, "frames_lost": 0}
-        figures = {"selected_ns": 0, "seconds": None, "steps": steps, **zero}
-        return TaskRow(name="line", run=run, result=result, reason=reason, **figures)
+        metrics = {"selected_ns": 0, "seconds": None, "steps": steps, **zero}
+        return TaskRow(name="line", run=run, result=result, reason=reason, **metrics)
 
     first = row("open", [(50, RunStep.SELECTED), (60, RunStep.SHOWN), (70, RunStep.STARTED)])
-    session.told("tasks", TaskFigures(runs={7: first}))
+    session.told("tasks", TaskMetrics(runs={7: first}))
     assert session.look() == [
         (50, "session", "task line, run 7: selected"),
         (70, "session", "task line, run 7: started"),
@@ -206,7 +206,7 @@ def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
     # Its process was killed.
     killed = row("aborted", [], "the task's process was restarted")
     runs = {7: killed, 8: row("open", [(900, RunStep.SELECTED)], run=8)}
-    session.told("tasks", TaskFigures(runs=runs))
+    session.told("tasks", TaskMetrics(runs=runs))
     words = "task line, run 7: aborted: the task's process was restarted"
     assert session.look(2) == [
         (900, "session", "task line, run 8: selected"),
@@ -217,7 +217,7 @@ def test_runs_of_tasks_are_told_once_each_with_its_own_instants(session):
 
 def test_an_input_is_taken_over_a_path_is_open_and_only_the_newest_events_are_kept(session):
     def look(live, at_s):
-        gauges = CaptureFigures(captured_ns=round(at_s * NS_PER_S), live_source=live)
+        gauges = CaptureMetrics(captured_ns=round(at_s * NS_PER_S), live_source=live)
         session.told("camera_left", gauges, at_s=at_s)
         return session.look(at_s)
 
@@ -232,7 +232,7 @@ def test_an_input_is_taken_over_a_path_is_open_and_only_the_newest_events_are_ke
     assert told == "ground: the path is NOT PROTECTED"
     assert session.look(2) == []
     for number in range(DEPTH + 5):
-        session.told("selector", SelectorFigures(selected=f"camera{number}"))
+        session.told("selector", SelectorMetrics(selected=f"camera{number}"))
         session.look(1)
     numbers = [event.number for event in session.log.events]
     assert numbers == list(range(numbers[-1] - DEPTH + 1, numbers[-1] + 1)) and numbers[0] > 5

@@ -9,8 +9,8 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
-from pipelines.report.journeys import STAGES, HapticFigures, LipSyncShare, Pauses, StreamFigures
-from pipelines.session.figures import (
+from pipelines.report.journeys import STAGES, HapticMetrics, LipSyncShare, Pauses, StreamMetrics
+from pipelines.session.session_metrics import (
     CodingRow,
     DecodedRow,
     OutRow,
@@ -28,7 +28,7 @@ START_NS = 1_000 * NS_PER_S
 PERIOD_MS = 40
 
 
-def tell(collector, process, *rows, stream=""):
+def publish(collector, process, *rows, stream=""):
     collector.handle_message(process, message(rows=rows, stream=stream), 10 * NS_PER_S)
 
 
@@ -63,15 +63,15 @@ def test_the_stages_of_a_picture_are_joined_in_any_order_of_messages(order):
     ]
     for index in order:
         process, rows, stream = messages[index]
-        tell(collector, process, *rows, stream=stream)
-    figures = collector.streams["uplink_video"]
-    stages = [figures.stages[stage] for stage in STAGES]
+        publish(collector, process, *rows, stream=stream)
+    metrics = collector.streams["uplink_video"]
+    stages = [metrics.stages[stage] for stage in STAGES]
     assert [stage.max for stage in stages] == ns(11, 1, 34, 4)
     assert [stage.count for stage in stages] == [3] * 4
-    assert figures.latency.max == 50 * NS_PER_MS
+    assert metrics.latency.max == 50 * NS_PER_MS
     assert collector.streams["uplink_voice"].latency.count == 0
     # The first picture has no weight, because no picture came before it.
-    way = figures.way
+    way = metrics.way
     assert way.pictures == 2
     parts = ("camera", "capture", "waiting", "encoding", "network", "decoding", "display", "total")
     found = [way.mean_ns(part) / NS_PER_MS for part in parts]
@@ -82,10 +82,10 @@ def test_the_stages_of_a_picture_are_joined_in_any_order_of_messages(order):
 def test_a_pause_of_the_camera_is_not_counted_as_a_period():
     collector = Collector(SESSION)
     coding = CodingRow(2, *ns(5000, 5000), 9, 1)
-    tell(collector, "uplink_video_send", coding, TxRow(2, *ns(5000) * 3))
-    tell(collector, "uplink_video_receive", RxRow(2, *ns(5010)))
+    publish(collector, "uplink_video_send", coding, TxRow(2, *ns(5000) * 3))
+    publish(collector, "uplink_video_receive", RxRow(2, *ns(5010)))
     shown = ShownRow(1, *ns(10, 20)), ShownRow(2, *ns(5000, 5020))
-    tell(collector, "space_display", *shown, stream="uplink_video")
+    publish(collector, "space_display", *shown, stream="uplink_video")
     assert collector.streams["uplink_video"].way.pictures == 0
 
 
@@ -94,8 +94,8 @@ def test_pauses_are_kept_with_begin_and_end_the_newest_thousand_of_them():
     shown = [ShownRow(n, *ns(end - 40, end)) for n, end in enumerate((100, 1100, 2101, 2140))]
     felt = [SampleReceivedRow(n, *ns(end)) for n, end in enumerate((1, 2, 202, 403, 404, 900))]
     for half in (slice(0, 3), slice(3, None)):
-        tell(collector, "space_display", *shown[half], stream="uplink_video")
-        tell(collector, "joystick", *felt[half])
+        publish(collector, "space_display", *shown[half], stream="uplink_video")
+        publish(collector, "joystick", *felt[half])
     assert list(collector.streams["uplink_video"].pauses.ended_ns) == [tuple(ns(1100, 2101))]
     pauses = [tuple(ns(202, 403)), tuple(ns(404, 900))]
     assert list(collector.haptics["up"].pauses.ended_ns) == pauses
@@ -117,7 +117,7 @@ def test_pauses_are_kept_with_begin_and_end_the_newest_thousand_of_them():
     assert (len(kept), kept[0]) == (1000, (20, 30))
 
 
-def test_the_figures_of_a_longer_session_take_no_more_memory():
+def test_the_metrics_of_a_longer_session_take_no_more_memory():
     collector, sizes = Collector(SESSION), {}
     for second in range(120):
         begin_ns = second * NS_PER_S
@@ -145,7 +145,7 @@ def felt(haptic, *samples, delay_ms=3):
 
 
 def test_the_newest_sample_at_an_instant_is_the_last_received_and_each_counts_once():
-    haptic = HapticFigures(12)
+    haptic = HapticMetrics(12)
     haptic.handle_received(np.empty((0, 2), np.int64), START_NS)
     assert haptic.pauses.last_ns is None, "a batch without samples changes nothing"
     felt(haptic, (10, 100), (11, 101), (12, 102))
@@ -155,13 +155,13 @@ def test_the_newest_sample_at_an_instant_is_the_last_received_and_each_counts_on
     newest = [haptic.sent_ns_at(one) for one in at(*instants_ms)]
     assert newest[0] is None
     assert newest[1:] == at(100, 100, 101, 102, 102, 110, 110, 111, 111)
-    haptic = HapticFigures(12)
+    haptic = HapticMetrics(12)
     felt(haptic, (7, 0))
     assert haptic.sent_ns_at(START_NS + 30 * NS_PER_S - 1) == START_NS
     # 30 s later the same number may be another sample's.
     assert haptic.sent_ns_at(START_NS + 30 * NS_PER_S) is None
-    assert HapticFigures(12).sent_ns_at(START_NS + 3 * NS_PER_MS) is None
-    haptic = HapticFigures(12)
+    assert HapticMetrics(12).sent_ns_at(START_NS + 3 * NS_PER_MS) is None
+    haptic = HapticMetrics(12)
     felt(haptic, *[(number, number) for number in range(100)])
     assert haptic.rate.octets == 100 * 12
     # A restarted end's first report may overtake its predecessor's last.
@@ -186,7 +186,7 @@ def journey(stream, timestamp, **changed_ms):
 
 
 def test_a_negative_stage_is_counted_by_its_name_and_each_picture_is_joined_once():
-    stream = StreamFigures()
+    stream = StreamMetrics()
     journey(stream, 1)
     assert stream.negative() == {}
     journey(stream, 2, received=8)
@@ -196,7 +196,7 @@ def test_a_negative_stage_is_counted_by_its_name_and_each_picture_is_joined_once
     assert stream.last_latency_ns == -NS_PER_MS
     assert stream.pauses.last_ns == START_NS + 39 * NS_PER_MS
     assert [latency_ns // NS_PER_MS for _, latency_ns in stream.fresh] == [30, 30, -1]
-    stream = StreamFigures()
+    stream = StreamMetrics()
     journey(stream, 1)
     journey(stream, 1)
     # The same timestamp again is another picture's, after 13 hours.
@@ -209,7 +209,7 @@ def test_a_negative_stage_is_counted_by_its_name_and_each_picture_is_joined_once
     ("between", "wait_s", "joined"), [(1999, 0, 1), (2000, 0, 0), (1, 10, 1), (1, 10.001, 0)]
 )
 def test_2000_pictures_wait_ten_seconds_for_their_other_end(between, wait_s, joined):
-    stream = StreamFigures()
+    stream = StreamMetrics()
     later_ns = START_NS + round(wait_s * NS_PER_S)
     stream.handle_rows(TxRow, rows(TxRow(5, START_NS, START_NS, START_NS)), START_NS)
     received = [RxRow(100 + n, later_ns) for n in range(between)]
@@ -230,7 +230,7 @@ def test_the_share_of_lip_sync_counts_time_and_the_largest_excess_over_the_cap_i
     # A picture that is never replaced counts for half a second.
     share.add(100 * NS_PER_S, 0)
     assert share.counted_ns == 1800 * NS_PER_MS
-    stream = StreamFigures()
+    stream = StreamMetrics()
     first, second, third, later = at(0, 100, 200, 5000)
     stream.handle_out(rows(OutRow(first, 1000, 16_000), OutRow(second, 1500, 16_000)))
     assert stream.above_cap_bps == (20_000 - 16_000, 20_000)

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.link.figures import SocketFigures
+from pipelines.link.link_metrics import SocketMetrics
 from pipelines.report import link_report
 from pipelines.report.collector import Collector
 from pipelines.report.model import LinkReport, from_json, to_json
-from pipelines.session.figures import LoopFigures
+from pipelines.session.session_metrics import LoopMetrics
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Direction, Segment
 from pipelines.session.verdict import ProcessNow
@@ -33,7 +33,7 @@ def gateway(end, now_ns=0, setup=SETUP):
         receive=back,
         receive_flows=received,
         master=end is Segment.GROUND,
-        life=7,
+        boot_id=7,
         now_ns=now_ns,
     )
 
@@ -59,7 +59,7 @@ class Link:
             self.now_ns += NS_PER_MS
         for end, core in self.ends.items():
             gauges = core.report(self.now_ns)
-            told = message(LoopFigures(slips=2, cycles=1000), gauges)
+            told = message(LoopMetrics(slips=2, cycles=1000), gauges)
             self.collector.handle_message(f"{end.value}_gateway", told, self.now_ns)
 
     def report(self, ends=ENDS, processes=()):
@@ -97,17 +97,17 @@ def test_rates_cover_the_time_since_the_previous_line():
     assert "haptic 96.0" in view.lines(link.collector, 0.65)[0]
 
 
-def test_the_summary_shows_the_figures_of_the_report():
+def test_the_summary_shows_the_metrics_of_the_report():
     link = Link()
     link.run(400, haptics)
-    told = message(SocketFigures(strangers={"radio": 4}))
+    told = message(SocketMetrics(unknown_senders={"radio": 4}))
     link.collector.handle_message("ground_gateway", told, link.now_ns)
     report = from_json(to_json(link.report()), LinkReport)
     assert report == link.report()
     for direction, octets in (("uplink", 32), ("downlink", 500)):
         assert report.link[direction].sender.frames == 400
         assert sum(report.link[direction].sender.octets.values()) == 400 * octets
-    assert report.gateways["ground"].sockets.strangers == {"radio": 4}
+    assert report.gateways["ground"].sockets.unknown_senders == {"radio": 4}
     assert report.failures == []
     text = "\n".join(link_report.summary_lines(report))
     assert "taskboard, 0.4 s, radio cable" in text
@@ -153,6 +153,6 @@ def test_the_shares_of_the_ledger_add_up_to_exactly_100_percent(octets):
 @pytest.mark.parametrize("setup", BUILT_IN.values(), ids=lambda setup: setup.name)
 def test_the_arithmetic_of_a_direction_adds_up_to_its_capacity(setup):
     for direction, profile in (("uplink", setup.uplink), ("downlink", setup.downlink)):
-        lines = link_report.link_figures(Collector(topology_of(setup)), direction).arithmetic
+        lines = link_report.link_metrics(Collector(topology_of(setup)), direction).arithmetic
         assert sum(line.bps for line in lines) == profile.media_bps
         assert (lines[-1].what, lines[-1].bps > 0) == ("spare", True)

@@ -8,10 +8,10 @@ from told import message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.streams.staleness import State
-from pipelines.media.figures import CaptureFigures, DisplayFigures
+from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.live import _age, _inputs, _line, first_line, streams_table
-from pipelines.session.figures import OutRow, SampleReceivedRow
+from pipelines.session.session_metrics import OutRow, SampleReceivedRow
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
@@ -61,7 +61,7 @@ def test_each_stream_is_shown_with_its_age_and_state(launcher):
     (stream,) = SETUP.streams
 
     def shown(state, age_ms, told_s):
-        gauges = DisplayFigures(age_ns=age_ms * NS_PER_MS, state=State(state))
+        gauges = DisplayMetrics(age_ns=age_ms * NS_PER_MS, state=State(state))
         launcher.collector.handle_message(
             "space_display", message(gauges, stream=stream.name), round(told_s * NS_PER_S)
         )
@@ -87,7 +87,7 @@ def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
         ("right", 9, "garbage in the pipe"),
         ("static", 9, ""),
     ):
-        gauges = CaptureFigures(captured_ns=captured_s * NS_PER_S, source_fault=fault)
+        gauges = CaptureMetrics(captured_ns=captured_s * NS_PER_S, source_fault=fault)
         launcher.collector.handle_message(f"camera_{name}", message(gauges), 9 * NS_PER_S)
     silent = "camera_left: no picture for 3 s (the writer has gone)"
     lines = [(line.plain, str(line.style)) for line in _inputs(launcher, launcher.collector)]
@@ -99,7 +99,7 @@ def test_an_input_without_pictures_is_shown_with_its_fault(launcher):
 def test_no_name_and_no_number_is_cut_at_any_width(launcher, width):
     launcher.setup = BUILT_IN["spacejustin"]
     launcher.collector = Collector(topology_of(launcher.setup))
-    shown = message(DisplayFigures(frames_displayed=1234567890), stream="uplink_video")
+    shown = message(DisplayMetrics(frames_displayed=1234567890), stream="uplink_video")
     launcher.collector.handle_message("space_display", shown, 9 * NS_PER_S)
     console = Console(width=width)
     with console.capture() as capture:
@@ -114,9 +114,9 @@ def test_no_name_and_no_number_is_cut_at_any_width(launcher, width):
 
 
 def test_a_stop_on_request_is_shown_as_one_and_not_as_silence(launcher):
-    old = DisplayFigures(age_ns=NS_PER_S, state=State.STALE)
+    old = DisplayMetrics(age_ns=NS_PER_S, state=State.STALE)
     for process, told, stream in (
-        ("camera_left", CaptureFigures(captured_ns=0), ""),
+        ("camera_left", CaptureMetrics(captured_ns=0), ""),
         ("space_display", old, "uplink_video"),
     ):
         launcher.collector.handle_message(process, message(told, stream=stream), NS_PER_S)

@@ -10,13 +10,13 @@ import report_keys as keys
 from told import message
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.figures import marks_of
-from pipelines.recording.messages import RecordedFigure
+from kontur_av.metrics import marks_of
+from pipelines.recording.recorded_messages import RecordedFigure
 from pipelines.report.collector import Collector
 from pipelines.report.model import SessionReport, to_builtins
-from pipelines.report.seat_figures import SeatFigures
+from pipelines.report.seat_metrics import SeatMetrics
 from pipelines.report.session_report import build_report
-from pipelines.session.figures import TrainerFigures
+from pipelines.session.session_metrics import TrainerMetrics
 from pipelines.session.session_switch import SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.verdict import ProcessNow
@@ -62,11 +62,11 @@ def told(record):
     look = [ProcessNow(name=name, restarts=0, running=True, error="") for name in PROCESSES]
     zeros = dict.fromkeys(PROCESSES, 0)
     report = build_report(collector, seconds=1.0, cpu_s=zeros, restarts=zeros, launcher_cpu_s=0.0)
-    seats = SeatFigures(collector)
+    seats = SeatMetrics(collector)
     switch = SessionSwitch()
     seats.handle_look(look, switch=switch, started_ns=0, now_ns=NS_PER_S)
     seat = seats.message(zeros, launcher_cpu_s=0.0, running_ns=NS_PER_S, now_ns=NS_PER_S)
-    return to_builtins(report), seat.figures
+    return to_builtins(report), seat.metrics
 
 
 def parts_of(report):
@@ -77,12 +77,12 @@ def parts_of(report):
 
 
 def is_among(name, keys_found):
-    """A mapping such as `strangers` has a name for each of its keys among the counts."""
+    """A mapping such as `unknown_senders` has a name for each of its keys among the counts."""
     return name in keys_found or f"{name}_some" in keys_found
 
 
 #: All but the record that has nothing but a list.
-RECORDS = [kind for kind in keys.TOLD if kind is not TrainerFigures]
+RECORDS = [kind for kind in keys.TOLD if kind is not TrainerMetrics]
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +93,10 @@ def documented():
 @pytest.mark.rule("9")
 @pytest.mark.parametrize("kind", RECORDS, ids=lambda kind: kind.__name__)
 def test_each_figure_of_a_record_is_in_report_page_recording_and_documents(kind, documented):
-    report, figures = told(made(kind))
+    report, metrics = told(made(kind))
     reported = parts_of(report)
-    on_page = {part for name in figures for part in name.split(".")}
-    recorded = {RecordedFigure.of(*figure).name for figure in figures.items()}
+    on_page = {part for name in metrics for part in name.split(".")}
+    recorded = {RecordedFigure.of(*figure).name for figure in metrics.items()}
     names = set(names_of(kind))
     assert names, "a record of figures"
     for name in names:

@@ -10,20 +10,20 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
-from pipelines.link.figures import SocketFigures
-from pipelines.media.figures import CaptureFigures, DisplayFigures, SelectorFigures
+from pipelines.link.link_metrics import SocketMetrics
+from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics, SelectorMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import never_met, signal_ns, silences
 from pipelines.report.summary import first_line
-from pipelines.session.figures import OutRow, ProbeFigures, ShownRow
+from pipelines.session.session_metrics import OutRow, ProbeMetrics, ShownRow
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Direction, Segment
 from pipelines.table import topology_of
-from telepresence.haptics.figures import SamplesReceived, SamplesSent
-from telepresence.link.figures import ContactFigures, ReceiverFigures
+from telepresence.haptics.haptic_metrics import SamplesReceived, SamplesSent
 from telepresence.link.gateway import Gateway
+from telepresence.link.link_metrics import ContactMetrics, ReceiverMetrics
 
 SETUP = BUILT_IN["taskboard"]
 PARTS = ("uplink_video_send", "uplink_video_receive", "space_display", "robot", "joystick")
@@ -49,7 +49,7 @@ def told(octets_a_packet=300, displayed=30, received=1000, setup=SETUP):
 
 
 def show(collector, now_ns, displayed, *rows):
-    counters = DisplayFigures(frames_displayed=displayed)
+    counters = DisplayMetrics(frames_displayed=displayed)
     told = message(counters, rows=rows, stream="uplink_video")
     collector.handle_message("space_display", told, now_ns)
 
@@ -94,14 +94,14 @@ def test_the_report_contains_the_counts():
         ({"received": 0}, 5.0, [f"haptic_{way}: no sample was received" for way in ("up", "down")]),
     ],
 )
-def test_a_broken_cap_and_what_never_came_are_failures(figures, seconds, found):
-    lines = failures(told(**figures), seconds)
+def test_a_broken_cap_and_what_never_came_are_failures(metrics, seconds, found):
+    lines = failures(told(**metrics), seconds)
     assert [line[: len(start)] for line, start in zip(lines, found, strict=True)] == found
 
 
 def test_values_that_the_report_lacks_and_latencies_below_0_are_failures():
     collector = told()
-    lost = ProbeFigures(probe_values_dropped=60)
+    lost = ProbeMetrics(probe_values_dropped=60)
     collector.handle_message("space_display", message(lost), NS_PER_S)
     show(collector, NS_PER_S, 30, ShownRow(1, 2 * NS_PER_S, NS_PER_S))
     assert sorted(failures(collector, 5.0)) == [
@@ -113,11 +113,11 @@ def test_values_that_the_report_lacks_and_latencies_below_0_are_failures():
 def hearing(collector, since_ns, *, signal=True):
     """The same collector; its gateway in space has heard the ground from `since_ns` to 9 s."""
     contacts = [
-        ContactFigures(acquired_ns=0, connected_ns=None, lost_ns=5),
-        ContactFigures(acquired_ns=since_ns - 1000, connected_ns=None, lost_ns=None),
+        ContactMetrics(acquired_ns=0, connected_ns=None, lost_ns=5),
+        ContactMetrics(acquired_ns=since_ns - 1000, connected_ns=None, lost_ns=None),
     ]
     supervision = SimpleNamespace(signal=signal, begun_ns=1000, contacts=contacts)
-    gauges = gateway(supervision=supervision, receive=ReceiverFigures())
+    gauges = gateway(supervision=supervision, receive=ReceiverMetrics())
     collector.handle_message("space_gateway", message(gauges), 9 * NS_PER_S)
     return collector
 
@@ -137,7 +137,7 @@ def test_a_session_that_ended_at_once_has_a_report_and_an_input_is_silent_since_
     assert report.streams["uplink_video"].payload_bps_mean == 0
     assert report.link["uplink"].sender.frames == 0
     collector = told()
-    collector.handle_message("camera_left", message(CaptureFigures(captured_ns=NS_PER_S)), NS_PER_S)
+    collector.handle_message("camera_left", message(CaptureMetrics(captured_ns=NS_PER_S)), NS_PER_S)
     collector.handle_resumed(60 * NS_PER_S)
     silent = [str(one) for one in silences(collector, 61 * NS_PER_S)]
     assert silent == []
@@ -159,11 +159,11 @@ def test_a_stop_on_request_is_named_and_is_in_no_mean():
 
 def test_every_count_of_a_process_is_reported():
     collector = told()
-    first = CaptureFigures(captured=100, source_faults=2), VideoReceiverCounts(jitter_ns=7)
-    sockets = SocketFigures(strangers={"radio": 3, "haptic": 0})
+    first = CaptureMetrics(captured=100, source_faults=2), VideoReceiverCounts(jitter_ns=7)
+    sockets = SocketMetrics(unknown_senders={"radio": 3, "haptic": 0})
     collector.handle_message("robot", message(*first, sockets, scheduler="fifo"), NS_PER_S)
     collector.process("robot").handle_end()
-    collector.handle_message("robot", message(CaptureFigures(captured=1)), NS_PER_S)
+    collector.handle_message("robot", message(CaptureMetrics(captured=1)), NS_PER_S)
     entry = report_of(collector).processes["robot"]
     found = [entry.counts[name] for name in ("captured", "source_faults", "strangers_radio")]
     assert found == [101, 2, 3]
@@ -177,7 +177,7 @@ def test_every_count_of_a_process_is_reported():
     ways = {"transmit": SETUP.uplink, "transmit_flows": flows(Direction.UPLINK)}
     ways |= {"receive": SETUP.downlink, "receive_flows": flows(Direction.DOWNLINK)}
     for packets in (3, 4):
-        core = Gateway(**ways, master=True, life=packets, now_ns=now_ns)
+        core = Gateway(**ways, master=True, boot_id=packets, now_ns=now_ns)
         for k in range(packets):
             # RTP that gets no context, and after it none at all.
             core.handle_datagram("uplink_video", bytes([0x80, 0x60, 0, k, *bytes(20)]), now_ns)
@@ -196,7 +196,7 @@ def run_on(collector, *, shown_s, captured_s, seconds=8, camera="left"):
     for half in range(1, 2 * seconds + 1):
         now_ns = half * NS_PER_S // 2
         captured_ns = min(now_ns, round(captured_s * NS_PER_S))
-        gauges = CaptureFigures(captured_ns=captured_ns)
+        gauges = CaptureMetrics(captured_ns=captured_ns)
         collector.handle_message(f"camera_{camera}", message(gauges), now_ns)
         if now_ns <= shown_s * NS_PER_S:
             show(collector, now_ns, half, ShownRow(half, now_ns - NS_PER_MS, now_ns))
@@ -214,7 +214,7 @@ def test_a_stream_that_stopped_is_a_failure_unless_its_input_did():
     collector = run_on(told(), shown_s=3, captured_s=3)
     assert failures(collector, 8.0) == []
     # It is no failure if the input has just returned, either.
-    gauges = CaptureFigures(captured_ns=8 * NS_PER_S)
+    gauges = CaptureMetrics(captured_ns=8 * NS_PER_S)
     collector.handle_message("camera_left", message(gauges), 8 * NS_PER_S)
     assert failures(collector, 8.0) == []
 
@@ -223,7 +223,7 @@ def test_a_stream_is_judged_by_the_camera_that_is_selected():
     collector = Collector(topology_of(SPLIT))
 
     def judged(camera, at_s):
-        gauges = SelectorFigures(selected=camera)
+        gauges = SelectorMetrics(selected=camera)
         collector.handle_message("selector", message(gauges), round(at_s * NS_PER_S))
         return [one for one in failures(collector, 8.0) if "uplink_video" in one]
 
@@ -242,7 +242,7 @@ def test_an_input_that_no_page_has_given_anything_is_no_failure():
         for name in setup.camera_inputs:
             for half in range(1, 21):
                 process = collector.topology.input(name).process
-                collector.handle_message(process, message(CaptureFigures()), half * NS_PER_S // 2)
+                collector.handle_message(process, message(CaptureMetrics()), half * NS_PER_S // 2)
         return collector
 
     cameras = dict.fromkeys(SETUP.camera_inputs, "page")
@@ -252,7 +252,7 @@ def test_an_input_that_no_page_has_given_anything_is_no_failure():
     assert all(silence.waits for silence in silences(collector))
     assert failures(without_pictures(SETUP), 10.0) == ["uplink_video: nothing was displayed"]
     # From what a page gave, something must be shown.
-    given = message(CaptureFigures(captured_ns=9 * NS_PER_S))
+    given = message(CaptureMetrics(captured_ns=9 * NS_PER_S))
     collector.handle_message("camera_left", given, 10 * NS_PER_S)
     assert failures(collector, 10.0) == ["uplink_video: nothing was displayed"]
 
@@ -260,7 +260,7 @@ def test_an_input_that_no_page_has_given_anything_is_no_failure():
 def test_an_input_that_stopped_or_never_began_is_named():
     collector = run_on(told(), shown_s=3, captured_s=3)
     # The camera was restarted, and has captured nothing since.
-    fault = CaptureFigures(source_fault="the writer has gone")
+    fault = CaptureMetrics(source_fault="the writer has gone")
     collector.handle_message("camera_left", message(fault), 8 * NS_PER_S)
     (silence,) = silences(collector)
     assert str(silence) == "camera_left: no picture for 5 s (the writer has gone)"
@@ -269,14 +269,14 @@ def test_an_input_that_stopped_or_never_began_is_named():
     assert report.processes["camera_left"].silent_s == 5.0
     assert not any("camera_left" in one for one in report.failures)
     # A fault of a file, or of a user's class, begins with what names it.
-    own = CaptureFigures(source_fault=f"{collector.setup.source('left')}: E17: lens cap")
+    own = CaptureMetrics(source_fault=f"{collector.setup.source('left')}: E17: lens cap")
     collector.handle_message("camera_left", message(own), 8 * NS_PER_S)
     assert str(silences(collector)[0]) in report_of(collector, 8.0, ["camera_left"]).failures
     # While pictures come there is no silence.
     assert silences(run_on(told(), shown_s=8, captured_s=8)) == []
     never = told()
     for now_ns in (NS_PER_S, 4 * NS_PER_S):
-        never.handle_message("camera_left", message(CaptureFigures()), now_ns)
+        never.handle_message("camera_left", message(CaptureMetrics()), now_ns)
     assert [str(one) for one in silences(never)] == ["camera_left: no picture for 3 s"]
 
 
@@ -286,7 +286,7 @@ def gateway_of(contacts, told_s, radio="cable"):
     supervision = SimpleNamespace(
         signal=True, begun_ns=0, contacts=contacts, in_state_ns={}, why="no signal"
     )
-    receive = ReceiverFigures(frames_received=1000)
+    receive = ReceiverMetrics(frames_received=1000)
     for name in ("ground_gateway", "space_gateway"):
         link = gateway(receive=receive, supervision=supervision)
         collector.handle_message(name, message(link), round(told_s * NS_PER_S))
@@ -295,7 +295,7 @@ def gateway_of(contacts, told_s, radio="cable"):
 
 def contact(acquired_s=0.0, *, connected=True):
     acquired_ns = round(acquired_s * NS_PER_S)
-    return ContactFigures(
+    return ContactMetrics(
         acquired_ns=acquired_ns, connected_ns=acquired_ns if connected else None, lost_ns=None
     )
 
@@ -331,16 +331,16 @@ def alone(segment):
     topology = topology_of(SPLIT, segments=(segment,))
     collector = Collector(topology)
     # Of the gateways nothing is known, so nothing excuses what is missing.
-    figures = {}
+    metrics = {}
     for row in topology.media_streams:
         if topology.runs(row.sender):
-            figures[row.sender] = SenderCounts(frames_captured=1800, frames_sent=1800)
+            metrics[row.sender] = SenderCounts(frames_captured=1800, frames_sent=1800)
             for name in row.inputs:
-                figures[topology.input(name).process] = CaptureFigures(captured=1800)
+                metrics[topology.input(name).process] = CaptureMetrics(captured=1800)
     for row in topology.haptics:
         if topology.runs(row.sender):
-            figures[row.sender] = SamplesSent(sent=60_000)
-    for process, counts in figures.items():
+            metrics[row.sender] = SamplesSent(sent=60_000)
+    for process, counts in metrics.items():
         assert topology.runs(process)
         collector.handle_message(process, message(counts), SECONDS * NS_PER_S)
     return collector
@@ -372,7 +372,7 @@ def test_latencies_between_two_clocks_are_left_out():
     collector = alone(Segment.SPACE)
     # The other machine's clock is an hour ahead, so what is shown seems to come from the future.
     rows = [ShownRow(n, 3600 * NS_PER_S, n * 33 * NS_PER_MS) for n in range(1, 100)]
-    told = message(DisplayFigures(frames_displayed=99), rows=rows, stream="uplink_video")
+    told = message(DisplayMetrics(frames_displayed=99), rows=rows, stream="uplink_video")
     collector.handle_message("space_display", told, SECONDS * NS_PER_S)
     report = report_alone(collector)
     assert report.failures == []

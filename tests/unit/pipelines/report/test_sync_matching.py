@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from told import series
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.report import sync_figures
+from pipelines.report import sync_metrics
 from pipelines.report.sync_matching import LEAST_VERDICT, Matched, judge, match, median_interval
-from pipelines.session.figures import ClickRow, ContactRow, LightRow, StepRow
+from pipelines.session.session_metrics import ClickRow, ContactRow, LightRow, StepRow
 from pipelines.session.setup.setup_file import BUILT_IN
 
 MS = NS_PER_MS
@@ -60,9 +60,9 @@ def test_the_usual_delay_decides_and_weak_distant_or_early_findings_are_ignored(
     assert match([0, NS_PER_S], []) == [None, None]
 
 
-def figures(stamp_off_ms=0.0, contacts=10, slack_ms=33):
+def metrics(stamp_off_ms=0.0, contacts=10, slack_ms=33):
     """Contacts 2.03 s apart; light after 70 ms, click after 50, force after 3."""
-    sync = sync_figures.SyncFigures()
+    sync = sync_metrics.SyncMetrics()
     for number in range(contacts):
         at_ns = number * 2030 * MS
         off_ns = round(stamp_off_ms * MS)
@@ -81,15 +81,15 @@ SENSES = ["light", "click", "force"]
 
 
 def test_latencies_skews_verdicts_bounces_and_touches_beside_a_target():
-    report = figures().report(SENSES)
+    report = metrics().report(SENSES)
     assert report.events == report.senses["light"].found == 10
     assert [sense.latency_ms.p50 for sense in report.senses.values()] == [70, 50, 3]
     assert all(sense.agrees for sense in report.senses.values())
     skews = {name: skew.p50 for name, skew in report.skew_ms.items()}
     assert skews == {"video_haptic": 67, "audio_haptic": 47, "audio_video": -20}
     assert report.skew_ms["audio_video"].within == 1.0
-    assert sync_figures.disagreements(report) == []
-    sync = figures()
+    assert sync_metrics.disagreements(report) == []
+    sync = metrics()
     sync.handle_series(series([ContactRow(50 * MS, 1), ContactRow(1000 * MS, -1)]))
     report = sync.report(SENSES)
     assert (report.events, report.bounces, report.touches_beside_targets) == (10, 1, 1)
@@ -97,12 +97,12 @@ def test_latencies_skews_verdicts_bounces_and_touches_beside_a_target():
     # The limits of the cited papers: touch 15 ms before sight, and 24 before sound.
     limits = {"audio_video": (-45, 125), "video_haptic": (-50, 15), "audio_haptic": (0, 24)}
     for name, (least_ms, most_ms) in limits.items():
-        assert sync_figures.LIMITS[name].holds(least_ms * MS) and sync_figures.LIMITS[name].holds(
+        assert sync_metrics.LIMITS[name].holds(least_ms * MS) and sync_metrics.LIMITS[name].holds(
             most_ms * MS
         )
-        assert not sync_figures.LIMITS[name].holds((most_ms + 1) * MS)
-    assert not sync_figures.LIMITS["audio_video"].holds(-46 * MS)
-    assert sync_figures.skew_summary("audio_haptic", [10 * MS, 30 * MS]).within == 0.5
+        assert not sync_metrics.LIMITS[name].holds((most_ms + 1) * MS)
+    assert not sync_metrics.LIMITS["audio_video"].holds(-46 * MS)
+    assert sync_metrics.skew_summary("audio_haptic", [10 * MS, 30 * MS]).within == 0.5
 
 
 @pytest.mark.parametrize(
@@ -110,18 +110,18 @@ def test_latencies_skews_verdicts_bounces_and_touches_beside_a_target():
     [(40, 10, 2), (-40, 10, 2), (5, 10, 1), (-3, 10, 1), (1, 10, 0), (40, 2, 0)],
 )
 def test_stamps_that_are_off_are_named_after_more_than_two_contacts(off_ms, contacts, wrong):
-    report = figures(off_ms, contacts).report(SENSES)
-    lines = sync_figures.disagreements(report)
+    report = metrics(off_ms, contacts).report(SENSES)
+    lines = sync_metrics.disagreements(report)
     assert len(lines) == wrong
     assert all("disagree" in line for line in lines)
     # A stream that carried a page is not judged.
     page = report.senses["light"].stream
-    judged = sync_figures.disagreements(report, unjudged={page})
+    judged = sync_metrics.disagreements(report, unjudged={page})
     assert judged == [line for line in lines if not line.startswith(page)]
 
 
-def test_a_session_of_many_contacts_has_bounded_memory_and_exact_figures():
-    draw, sync, sizes = np.random.default_rng(3), sync_figures.SyncFigures(), []
+def test_a_session_of_many_contacts_has_bounded_memory_and_exact_metrics():
+    draw, sync, sizes = np.random.default_rng(3), sync_metrics.SyncMetrics(), []
     period_ns, count = 2030 * MS, 8000
     late_ms = draw.uniform([60, 10, 2], [90, 70, 6], (count, 3))
     for number, delays_ns in enumerate((late_ms * MS).astype(int).tolist()):
@@ -138,12 +138,12 @@ def test_a_session_of_many_contacts_has_bounded_memory_and_exact_figures():
     report = sync.report(SENSES)
     assert (report.events, report.bounces) == (count, count)
     light, click, force = late_ms.T
-    figures = [
+    metrics = [
         (sense.latency_ms, ms) for sense, ms in zip(report.senses.values(), late_ms.T, strict=True)
     ]
-    figures.append((report.skew_ms["audio_video"], click - light))
-    figures.append((report.skew_ms["video_haptic"], light - force))
-    for found, exact in figures:
+    metrics.append((report.skew_ms["audio_video"], click - light))
+    metrics.append((report.skew_ms["video_haptic"], light - force))
+    for found, exact in metrics:
         ranks = np.percentile(exact, (50, 95, 99), method="inverted_cdf")
         assert [found.p50, found.p95, found.p99] == pytest.approx(ranks, abs=0.1)
     within = np.mean(click - force <= 24)
@@ -156,13 +156,13 @@ def test_a_flash_in_a_film_or_a_click_at_a_microphone_is_no_contact():
         ({"ground_mic": "alsa:default"}, ["light", "force"]),
         ({"ground_mic": "scene:cabin_voice"}, ["light", "force"]),
         ({"head": "film.mp4"}, ["click", "force"]),
-        ({"iss_mic": "alsa:default", "iss_camera": "v4l2:/dev/video0"}, SENSES),
+        ({"operator_mic": "alsa:default", "operator_camera": "v4l2:/dev/video0"}, SENSES),
     ):
         setup = replace(BUILT_IN["spacejustin"], sources=sources)
         # As if each stamp were 40 ms late.
-        section = sync_figures.sync_section(setup, figures(40), media=True)
+        section = sync_metrics.sync_section(setup, metrics(40), media=True)
         assert [sense for sense, found in section.senses.items() if found] == senses
-        assert len(sync_figures.disagreements(section)) == len(senses) - 1
+        assert len(sync_metrics.disagreements(section)) == len(senses) - 1
 
 
 def perceived(errors_ms, strengths=None, slack_ms=0):

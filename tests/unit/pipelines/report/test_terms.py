@@ -11,7 +11,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.model import Terms
 from pipelines.report.terms import TERMS, DelaySums, video_lead, zone_bps
 from pipelines.session.setup.setup_file import BUILT_IN
-from telepresence.link.figures import SenderFigures
+from telepresence.link.link_metrics import SenderMetrics
 from telepresence.link.profile import UPLINK
 from telepresence.link.radio import load_radio
 
@@ -20,7 +20,7 @@ FORCE_NS = 11 * NS_PER_MS
 
 
 def uplink(samples=1000, frames=1000, header_octets=0, packets=1):
-    sent = SenderFigures(
+    sent = SenderMetrics(
         frames=frames,
         octets={"haptic": 12 * samples},
         headers={"uplink_video": {"header_octets": header_octets, "packets": packets}},

@@ -7,16 +7,16 @@ import pytest
 from told import gateway, message
 
 from kontur_av.clock import NS_PER_S
-from pipelines.mission.figures import TaskFigures
+from pipelines.mission.mission_metrics import TaskMetrics
 from pipelines.report import upkeep_now
 from pipelines.report.collector import Collector
-from pipelines.seats.figures import PageFigures
+from pipelines.seats.page_metrics import PageMetrics
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from pipelines.table import topology_of
-from telepresence.haptics.envelope import Hold, SafetyFigures
-from telepresence.haptics.figures import JoystickFigures
-from telepresence.link.figures import ReceiverFigures, SenderFigures
+from telepresence.haptics.envelope import Hold, SafetyMetrics
+from telepresence.haptics.haptic_metrics import JoystickMetrics
+from telepresence.link.link_metrics import ReceiverMetrics, SenderMetrics
 from telepresence.link.radio import load_radio
 from telepresence.link.radio.profile import Blackout
 
@@ -27,8 +27,8 @@ def collector(*, segments=tuple(Segment), joystick="evdev"):
     return Collector(topology_of(SETUP, segments=segments, joystick=joystick, pages=True))
 
 
-def tell(found, process, *figures, at_s=0):
-    found.handle_message(process, message(*figures), at_s * NS_PER_S)
+def publish(found, process, *metrics, at_s=0):
+    found.handle_message(process, message(*metrics), at_s * NS_PER_S)
 
 
 def test_signal_drop_outs_and_shadowing_are_announced_with_the_time_left():
@@ -59,16 +59,16 @@ def test_signal_drop_outs_and_shadowing_are_announced_with_the_time_left():
 
 
 def robot(hold):
-    return SafetyFigures(hold=hold)
+    return SafetyMetrics(hold=hold)
 
 
 def task(result):
-    return TaskFigures(runs={2: SimpleNamespace(name="aiming", run=2, result=result)})
+    return TaskMetrics(runs={2: SimpleNamespace(name="aiming", run=2, result=result)})
 
 
 def driven(state):
-    names = JoystickFigures.__dataclass_fields__
-    return JoystickFigures(**{**dict.fromkeys(names, 0), "state": state})
+    names = JoystickMetrics.__dataclass_fields__
+    return JoystickMetrics(**{**dict.fromkeys(names, 0), "state": state})
 
 
 SPACE, GROUND = (Segment.SPACE,), (Segment.GROUND,)
@@ -81,7 +81,7 @@ SPACE, GROUND = (Segment.SPACE,), (Segment.GROUND,)
         ({}, "tasks", task("finished"), ""),
         ({}, "robot", robot(Hold.NONE), "the robot follows the hand"),
         ({}, "robot", robot(Hold.RELEASED), ""),
-        ({}, "page_space", PageFigures(holder=3), "a page has the handle"),
+        ({}, "page_space", PageMetrics(holder=3), "a page has the handle"),
         # A simulated hand taps all day.
         ({"joystick": "sim"}, "robot", robot(Hold.NONE), ""),
         ({"joystick": "sim", "segments": GROUND}, "robot", robot(Hold.NONE), "the robot follows"),
@@ -92,12 +92,12 @@ SPACE, GROUND = (Segment.SPACE,), (Segment.GROUND,)
     ],
 )
 def test_an_experiment_runs_while_a_task_does_or_a_person_has_the_arm(
-    options, process, figures, runs
+    options, process, metrics, runs
 ):
     found = collector(**options)
     watch = upkeep_now.ExperimentWatch(found)
     assert watch.handle_time(NS_PER_S) == ""
-    tell(found, process, figures)
+    publish(found, process, metrics)
     words = watch.handle_time(2 * NS_PER_S)
     assert words.startswith(runs)
     assert bool(words) is bool(runs)
@@ -107,9 +107,9 @@ def test_a_hand_that_lets_go_for_a_moment_has_not_ended_it_and_a_stopped_process
     released, silent = collector(), collector()
     watches = [upkeep_now.ExperimentWatch(one) for one in (released, silent)]
     for one, watch in zip((released, silent), watches, strict=True):
-        tell(one, "robot", robot(Hold.NONE), at_s=20)
+        publish(one, "robot", robot(Hold.NONE), at_s=20)
         assert watch.handle_time(20 * NS_PER_S)
-    tell(released, "robot", robot(Hold.RELEASED), at_s=29)
+    publish(released, "robot", robot(Hold.RELEASED), at_s=29)
     for seconds, runs in ((29, [True, True]), (30, [False, True]), (38, [False, True])):
         assert [bool(one.handle_time(seconds * NS_PER_S)) for one in watches] == runs
     assert not watches[1].handle_time(39 * NS_PER_S)
@@ -120,9 +120,9 @@ def test_of_attached_programs_their_samples_say_it():
     watch = upkeep_now.ExperimentWatch(found, attached=True)
 
     def pass_samples(sent, received):
-        transmit = SenderFigures(haptic_sent=sent)
-        receive = ReceiverFigures(haptic_received=received)
-        tell(found, "ground_gateway", gateway(transmit=transmit, receive=receive))
+        transmit = SenderMetrics(haptic_sent=sent)
+        receive = ReceiverMetrics(haptic_received=received)
+        publish(found, "ground_gateway", gateway(transmit=transmit, receive=receive))
 
     pass_samples(0, 0)
     assert not watch.handle_time(20 * NS_PER_S)
@@ -139,7 +139,7 @@ def test_media_dropped_for_want_of_bandwidth_are_told_once_until_they_pass_again
 
     def look(at_s, **drops):
         queue = {"video": SimpleNamespace(drops=drops)}
-        tell(found, "ground_gateway", gateway(transmit=SenderFigures(queue=queue)))
+        publish(found, "ground_gateway", gateway(transmit=SenderMetrics(queue=queue)))
         return list(watch.handle_time(at_s * NS_PER_S))
 
     assert look(1, expired=0, signal_lost=7) == []

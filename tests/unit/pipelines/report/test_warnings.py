@@ -6,7 +6,7 @@ import pytest
 from told import gateway, message
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.recording.figures import RecordedChannel, RecorderFigures
+from pipelines.recording.recorder_metrics import RecordedChannel, RecorderMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.sections import recorder_warnings
 from pipelines.report.warnings import (
@@ -37,14 +37,14 @@ def test_loops_restarts_open_paths_and_long_round_trips_are_warned_of():
     assert "12.0 %" in warning.measured
     (warning,) = loop(late_ns=700_000)
     assert (warning.what, "0.7 ms" in warning.measured) == ("cycles_late", True)
-    # Without real-time priority the mend is the permission.
-    mends = [loop(left_out=50, scheduler=one)[0].mend for one in ("other", "fifo")]
-    assert ["doctor" in mend for mend in mends] == [True, False]
+    # Without real-time priority the fix is the permission.
+    fixes = [loop(left_out=50, scheduler=one)[0].fix for one in ("other", "fifo")]
+    assert ["doctor" in fix for fix in fixes] == [True, False]
     warning = restart_warning("stereo", 1, "ended by SIGKILL")
     assert warning.measured == "it was started again once: ended by SIGKILL"
     assert restart_warning("stereo", 2, "").measured == "it was started again 2 times"
     full = restart_warning("stereo", 1, f"ended by {NO_ROOM}")
-    assert "/dev/shm" in full.mend and "report an error" not in full.mend
+    assert "/dev/shm" in full.fix and "report an error" not in full.fix
     setup = BUILT_IN["spacejustin"]
     collector = Collector(topology_of(setup, segments=(Segment.GROUND,)))
     path = OpenPath(setup.downlink, address=("192.0.2.1", 27000), now_ns=5)
@@ -86,20 +86,20 @@ def test_few_pictures_are_a_warning(found, counts):
 
 
 @pytest.mark.parametrize(
-    ("channel", "mended"),
+    ("channel", "fixed"),
     [
         (RecordedChannel(kept=9, missed=3), ["processors"]),
         (RecordedChannel(kept=9, dropped=3), ["disk"]),
         (RecordedChannel(kept=9, dropped=3, missed=1), ["disk", "processors"]),
     ],
 )
-def test_what_a_recording_lacks_is_blamed_on_what_was_too_slow(channel, mended):
+def test_what_a_recording_lacks_is_blamed_on_what_was_too_slow(channel, repaired):
     collector = Collector(topology_of(BUILT_IN["taskboard"], recorder=True))
-    figures = RecorderFigures(parts=1, channels={"/haptic/up/sent": channel})
-    collector.handle_message("recorder", message(figures), 1)
+    metrics = RecorderMetrics(parts=1, channels={"/haptic/up/sent": channel})
+    collector.handle_message("recorder", message(metrics), 1)
     (warning,) = recorder_warnings(collector)
-    found = [word for word in ("disk", "processors") if word in warning.mend]
-    assert found == mended and warning.measured.startswith(f"{channel.lost} messages")
+    found = [word for word in ("disk", "processors") if word in warning.fix]
+    assert found == repaired and warning.measured.startswith(f"{channel.lost} messages")
 
 
 @pytest.mark.parametrize(
@@ -119,10 +119,10 @@ def test_an_unknown_clock_and_a_direct_hand_over_a_long_way_are_warned_of(
 ):
     setup = replace(BUILT_IN["spacejustin"], hand=hand)
     collector = Collector(topology_of(setup, segments=(segment,)))
-    clock = ClockExchange(version=2, master=True, life=1, told_offset_ns=0, now_ns=0).report(0)
+    clock = ClockExchange(version=2, master=True, boot_id=1, told_offset_ns=0, now_ns=0).report(0)
     error_ns = None if offset_ns is None else error_ms * NS_PER_MS
     clock = replace(clock, offset_ns=offset_ns, error_ns=error_ns, messages_received=9)
-    figures = message(replace(gateway(), clock=clock))
-    collector.handle_message(f"{segment.value}_gateway", figures, NS_PER_S)
+    metrics = message(replace(gateway(), clock=clock))
+    collector.handle_message(f"{segment.value}_gateway", metrics, NS_PER_S)
     assert [one.what for one in find_path_warnings(collector, Segment)] == path_warned
     assert [one.what for one in hand_warnings(collector)] == hand_warned

@@ -7,7 +7,7 @@ import pytest
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from pipelines.ros2.hand import JoyMessage, Ros2Hand
-from telepresence.haptics.device.page import FACTS
+from telepresence.haptics.device.page import CAPABILITIES
 
 A, B = b"a" * 16, b"b" * 16
 STEP_NS = 20 * NS_PER_MS
@@ -74,7 +74,7 @@ def test_a_velocity_moves_while_the_button_is_held_and_no_longer(hand):
         hand.handle_velocity({"x": 0.1, "y": -0.05}, B, now_ns)
         told = hand.poll_transmit(now_ns)
         now_ns += STEP_NS
-    moved = 0.1 * 10 * STEP_NS / NS_PER_S / FACTS.half_width_m
+    moved = 0.1 * 10 * STEP_NS / NS_PER_S / CAPABILITIES.half_width_m
     assert told.x == pytest.approx(moved) and told.y < 0
     # The velocity is stale, the button is held: it stays.
     now_ns += 300 * NS_PER_MS

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from pipelines.seats.holders import Given, HandGate, HandleOwnership, HandleState, OwnInputs
+from pipelines.seats.holders import Given, HandGate, HandleAuthority, HandleState, OwnInputs
 from pipelines.seats.plan import seat_plan
 from pipelines.session.access import Role
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -28,7 +28,7 @@ deeds = st.tuples(
 
 
 def joined(*pages):
-    ownership = HandleOwnership()
+    ownership = HandleAuthority()
     for page in pages:
         ownership.handle_joined(page, f"operator {page}")
     return ownership
@@ -39,7 +39,7 @@ def joined(*pages):
 )
 @given(st.lists(deeds, max_size=60))
 def test_only_the_one_holder_moves_the_handle_and_each_hand_begins_with_a_release(script):
-    ownership = HandleOwnership()
+    ownership = HandleAuthority()
     gate = HandGate(ownership)
     here: set[int] = set()
     told: list[tuple[int | None, PageInput]] = []
@@ -118,7 +118,7 @@ def test_replayed_and_impossible_inputs_are_refused_and_too_much_closes_the_sock
         passed = gate.handle_input(1, PageInput(True, x, y, 0, sequence))
         assert (passed is not None) is passes
     inputs = opened(Role.OPERATOR)
-    ask(inputs, 0, "iss_camera")
+    ask(inputs, 0, "operator_camera")
     with pytest.raises(ProtocolError):
         for _ in range(200):
             inputs.handle_message(0, picture(0.0), NS_PER_S)
@@ -163,27 +163,29 @@ def ask(inputs, link, name, *, on=True):
 
 def test_an_input_belongs_to_one_page_until_it_is_given_back_or_gone():
     inputs = opened(Role.OPERATOR, Role.OPERATOR)
-    assert ask(inputs, 0, "iss_camera") == ask(inputs, 0, "iss_camera") == ""
-    assert ask(inputs, 1, "iss_camera") == "iss_camera: operator has it at another page"
-    assert ask(inputs, 1, "iss_camera", on=False) == "iss_camera: this page does not have it"
-    assert ask(inputs, 1, "iss_mic") == ""
-    assert inputs.owners == {"iss_camera": 0, "iss_mic": 1}
+    assert ask(inputs, 0, "operator_camera") == ask(inputs, 0, "operator_camera") == ""
+    assert ask(inputs, 1, "operator_camera") == "operator_camera: operator has it at another page"
+    assert (
+        ask(inputs, 1, "operator_camera", on=False) == "operator_camera: this page does not have it"
+    )
+    assert ask(inputs, 1, "operator_mic") == ""
+    assert inputs.owners == {"operator_camera": 0, "operator_mic": 1}
     assert inputs.handle_message(1, picture(0.0), 0) is None
-    assert ask(inputs, 0, "iss_camera", on=False) == ""
-    assert ask(inputs, 1, "iss_camera") == ""
+    assert ask(inputs, 0, "operator_camera", on=False) == ""
+    assert ask(inputs, 1, "operator_camera") == ""
     inputs.handle_closed(1)
-    assert inputs.owners == {"iss_camera": None, "iss_mic": None}
+    assert inputs.owners == {"operator_camera": None, "operator_mic": None}
     # Only inputs of this seat, and no viewer.
     inputs = opened(Role.OPERATOR, Role.VIEWER)
     assert ask(inputs, 0, "head") == "head: no page can give this input here"
-    assert ask(inputs, 1, "iss_camera") == "a viewer may watch only"
+    assert ask(inputs, 1, "operator_camera") == "a viewer may watch only"
     assert inputs.handle_message(1, picture(0.0), 0) is None
 
 
 def test_what_is_given_is_dated_by_the_ping_that_took_least_time():
     inputs = opened(Role.OPERATOR)
-    ask(inputs, 0, "iss_camera")
-    ask(inputs, 0, "iss_mic")
+    ask(inputs, 0, "operator_camera")
+    ask(inputs, 0, "operator_mic")
 
     def capture_ms(page_ms, now_ms):
         given = inputs.handle_message(0, picture(page_ms), now_ms * NS_PER_MS)

@@ -20,7 +20,7 @@ def drained(queue):
 def test_the_most_urgent_goes_first_and_live_units_follow_the_replay():
     queue = ClientQueue([0])
     queue.put_preview(0, b"preview")
-    queue.put_figures("figures")
+    queue.put_metrics("figures")
     queue.lanes[0].put_replay([b"unit"])
     queue.put_haptics(0, b"haptics")
     queue.put_sound(1, b"sound")
@@ -95,7 +95,7 @@ def test_bounded_whatever_comes_and_complete_whatever_goes(steps):
         "answer": lambda octets: queue.put_answer("x" * octets),
         "pong": lambda octets: queue.put_pong(b"x" * octets),
         "state": lambda octets: queue.put_state("x" * octets),
-        "figures": lambda octets: queue.put_figures("x" * octets),
+        "figures": lambda octets: queue.put_metrics("x" * octets),
         "haptics": lambda octets: queue.put_haptics(octets % 2, b"x"),
         "preview": lambda octets: queue.put_preview(octets % 3, b"x"),
         "sound": lambda octets: queue.put_sound(octets % 2, b"x"),

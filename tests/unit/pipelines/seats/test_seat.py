@@ -113,7 +113,7 @@ def test_a_page_is_told_first_where_it_is_and_what_it_sees(space, ground):
     assert (hello["page"], hello["now_us"]) == (page.number, 5000)
     streams = [(each["index"], each["name"], each["via"]) for each in hello["streams"]]
     assert streams == [(0, "uplink_video", "coded"), (1, "uplink_voice", "sound")]
-    assert [each["name"] for each in hello["inputs"]] == ["iss_camera", "iss_mic"]
+    assert [each["name"] for each in hello["inputs"]] == ["operator_camera", "operator_mic"]
     assert hello["cameras"][0] == {"name": "stereo", "inputs": ["left", "right"]}
     # Ground control sees what comes, what it sends, and all cameras.
     (hello,) = ground.open().texts("hello")
@@ -248,7 +248,7 @@ def test_a_viewer_watches_only(space):
 
 
 def test_a_command_is_answered_when_the_joystick_has_carried_it_out(space):
-    def tell(answered, refusal):
+    def publish(answered, refusal):
         sizes = dict.fromkeys(("force_limit_n", "half_width_m", "half_height_m"), 0.1)
         known = {"state": JoystickState.STANDBY, "reason": "", "dead_man": False, "device": "x"}
         status = JoystickStatus(**known, **sizes, answered=answered, refusal=refusal)
@@ -259,13 +259,13 @@ def test_a_command_is_answered_when_the_joystick_has_carried_it_out(space):
     page.ask("joystick", event="start")
     assert space.events() == [(101, JoystickEvent.CALIBRATE)]
     assert page.texts("answer") == []
-    tell(101, "not now")
+    publish(101, "not now")
     (answer,) = page.texts("answer")
     assert (answer["request"], answer["ok"], answer["error"]) == (7, False, "not now")
     assert space.events() == [(102, JoystickEvent.START)]
     space.seat.handle_time(NS_PER_S)
     assert page.errors() == ["the joystick does not answer"]
-    tell(102, "")
+    publish(102, "")
     assert page.errors() == []
 
 
@@ -410,24 +410,24 @@ def test_the_heartbeat_comes_ten_times_a_second_and_at_each_change(space):
     assert page.texts("state")[0]["link"] == "lost"
 
 
-def figures(number, state="running", **values):
+def metrics(number, state="running", **values):
     events = [{"number": number, "at_us": 1, "what": "link", "text": "x"}]
     told = {"kind": "figures", "state": state, "figures": values, "events": events, "more": 1}
     return json.dumps(told).encode()
 
 
-def test_figures_pass_unchanged_and_who_joins_gets_all_events(space):
+def test_metrics_pass_unchanged_and_who_joins_gets_all_events(space):
     page = space.open(Role.VIEWER)
     assert page.texts("figures") == []
     for number in range(1, 251):
-        space.seat.handle_figures(figures(number, **{"processes.selector.selected": "head"}), 0)
+        space.seat.handle_metrics(metrics(number, **{"processes.selector.selected": "head"}), 0)
     newest = [each["events"][0]["number"] for each in page.texts("figures")]
     assert newest == list(range(243, 251))
     found = {text["kind"]: text for text in map(json.loads, space.open(Role.VIEWER).sent())}
     assert [each["number"] for each in found["figures"]["events"]] == list(range(51, 251))
     assert (found["state"]["camera"], found["figures"]["more"]) == ("head", 1)
     with pytest.raises(ProtocolError):
-        space.seat.handle_figures(b"{}", 0)
+        space.seat.handle_metrics(b"{}", 0)
 
 
 def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_session_is_lost(
@@ -436,7 +436,7 @@ def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_sess
     page = ground.open(unread=False)
     for number, holder in enumerate((None, 4), 1):
         told = {"hand.holder": holder, "processes.selector.selected": "head"}
-        ground.seat.handle_figures(figures(number, **told), 0)
+        ground.seat.handle_metrics(metrics(number, **told), 0)
         # The camera is told by its own selector.
         assert ground.seat.camera != "head"
         ground.seat.handle_time(number * NS_PER_S)
@@ -446,7 +446,7 @@ def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_sess
     cases = (("running", "connected", 1), ("running", "refused", 0), ("stopped", "connected", 0))
     for second, (state, told, connected) in enumerate(cases):
         link = {"gateways.space.supervision.state": told}
-        space.seat.handle_figures(figures(second + 1, state, **link), 0)
+        space.seat.handle_metrics(metrics(second + 1, state, **link), 0)
         space.seat.handle_time(second * NS_PER_S)
         assert page.texts("state")[-1]["link"] == ("connected" if connected else "lost")
 

@@ -17,8 +17,10 @@ def test_requests_of_a_seat():
     assert stop == texts.SessionRequest(request=3, action="stop")
     halt = texts.parse_seat_request('{"request": 4, "do": "joystick", "event": "halt"}')
     assert halt == texts.JoystickRequest(request=4, event="halt")
-    on = texts.parse_media_request('{"request": 5, "do": "input", "name": "iss_mic", "on": true}')
-    assert on == texts.InputRequest(request=5, name="iss_mic", on=True)
+    on = texts.parse_media_request(
+        '{"request": 5, "do": "input", "name": "operator_mic", "on": true}'
+    )
+    assert on == texts.InputRequest(request=5, name="operator_mic", on=True)
 
 
 TAKEN = '{"request": 1, "do": '
@@ -33,7 +35,7 @@ TAKEN = '{"request": 1, "do": '
         '{"request": 1e400, "do": "command", "application": "a"}',
         *(TAKEN + '"command", "application": ""}', TAKEN + '"joystick", "event": "fault"}'),
         TAKEN + '"command", "application": "a", "more": 1}',
-        TAKEN + '"input", "name": "iss_mic", "on": true}',
+        TAKEN + '"input", "name": "operator_mic", "on": true}',
         TAKEN + '"command", "application": "\ud800"}',
     ],
 )

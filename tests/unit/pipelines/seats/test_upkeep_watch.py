@@ -3,7 +3,7 @@
 import os
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.files.desk import FileDesk
+from pipelines.files.file_requests import FileRequests
 from pipelines.seats.upkeep_watch import Transfers, software_in
 from pipelines.session import terminal_lines
 from pipelines.session.setup.segments import Segment
@@ -15,10 +15,10 @@ GROUND = Segment.GROUND
 
 def test_the_list_of_files_is_that_of_the_file_transfer():
     entity = FileEntity(entity=1, peer=2, first_number=7, rate_bps=64_000, now_ns=0)
-    desk, transfers = FileDesk(entity), Transfers()
+    service, transfers = FileRequests(entity), Transfers()
 
     def answered(now_ns):
-        return desk.handle_request(
+        return service.handle_request(
             terminal_lines.FileRequest(file=terminal_lines.STATUS), b"", "", now_ns
         )
 

@@ -124,45 +124,45 @@ def test_a_refusal_names_who_may_and_everybody_but_viewers_writes_in_the_chat():
 
 
 def test_idle_strangers_make_room_and_known_connections_stay():
-    door = access.Doorway()
-    door.handle_accepted(0, "operator", 0)
-    door.handle_known(0)
+    admission = access.ConnectionLimits()
+    admission.handle_accepted(0, "operator", 0)
+    admission.handle_known(0)
     closed = []
     for number in range(1, 1401):
-        closed += door.handle_accepted(number, f"host {number % 50}", number)
+        closed += admission.handle_accepted(number, f"host {number % 50}", number)
     # The newest stay long enough to show their token.
-    assert closed == list(range(1, 1401 - access.MOST_STRANGERS))
-    assert door.closed == len(closed)
+    assert closed == list(range(1, 1401 - access.MOST_UNAUTHENTICATED))
+    assert admission.closed == len(closed)
     for number in range(1401, 1401 + 100):
-        door.handle_accepted(number, "lan", 2000)
-        door.handle_known(number)
-    assert len(door) == 101 + access.MOST_STRANGERS - 1
+        admission.handle_accepted(number, "lan", 2000)
+        admission.handle_known(number)
+    assert len(admission) == 101 + access.MOST_UNAUTHENTICATED - 1
     # Who only watches makes room for those who came later.
     closed = []
     for number in range(2000, 2000 + 1100):
-        door.handle_accepted(number, "viewer", 3000)
-        closed += door.handle_known(number, watches=True)
+        admission.handle_accepted(number, "viewer", 3000)
+        closed += admission.handle_known(number, watches=True)
     assert closed == list(range(2000, 3100 - access.MOST_WATCHING))
-    assert 4000 not in door.handle_accepted(4000, "operator", 4000)
+    assert 4000 not in admission.handle_accepted(4000, "operator", 4000)
     # One address has fewer.
-    door = access.Doorway()
-    door.handle_accepted(0, "other", 0)
-    closed = [one for n in range(1, 100) for one in door.handle_accepted(n, "same", 0)]
+    admission = access.ConnectionLimits()
+    admission.handle_accepted(0, "other", 0)
+    closed = [one for n in range(1, 100) for one in admission.handle_accepted(n, "same", 0)]
     assert closed == list(range(1, 100 - access.MOST_OF_ADDRESS))
 
 
 def test_strangers_have_little_time_and_the_known_have_all_but_room():
-    door = access.Doorway()
+    admission = access.ConnectionLimits()
     for number in range(3):
-        door.handle_accepted(number, "a", 0)
-    door.handle_known(1)
-    assert door.handle_time(access.STRANGER_NS - 1) == []
-    assert door.handle_time(access.STRANGER_NS) == [0, 2]
-    assert door.handle_time(10 * access.STRANGER_NS) == []
-    door.handle_closed(1)
-    door.handle_closed(1)
-    assert len(door) == 0
+        admission.handle_accepted(number, "a", 0)
+    admission.handle_known(1)
+    assert admission.handle_time(access.UNKNOWN_SENDER_NS - 1) == []
+    assert admission.handle_time(access.UNKNOWN_SENDER_NS) == [0, 2]
+    assert admission.handle_time(10 * access.UNKNOWN_SENDER_NS) == []
+    admission.handle_closed(1)
+    admission.handle_closed(1)
+    assert len(admission) == 0
     for number in range(access.MOST_CONNECTIONS):
-        door.handle_accepted(number, f"{number}", 0)
-        door.handle_known(number)
-    assert door.handle_accepted(1000, "late", 0) == [1000]
+        admission.handle_accepted(number, f"{number}", 0)
+        admission.handle_known(number)
+    assert admission.handle_accepted(1000, "late", 0) == [1000]

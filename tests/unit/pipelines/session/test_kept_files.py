@@ -13,7 +13,7 @@ from kontur_av.topics import session_files
 from kontur_av.topics.session_files import make_session_root, session_root
 from pipelines.hand.safety_ends import follow_stop
 from pipelines.session import kept_files
-from pipelines.session.figures import Event
+from pipelines.session.session_metrics import Event
 
 SESSION = "lab-1"
 

@@ -15,10 +15,10 @@ def test_another_system_is_missing_with_its_mend_and_the_timer_check_gives_the_l
     monkeypatch,
 ):
     verdict = machine_checks.check_shared_memory(lambda: 10_000_000)
-    assert verdict.state == "missing" and "--shm-size" in verdict.mend
+    assert verdict.state == "missing" and "--shm-size" in verdict.fix
     monkeypatch.setattr(platform, "system", lambda: "Windows")
     verdict = machine_checks.check_python()
-    assert verdict.state == "missing" and "Linux" in verdict.mend
+    assert verdict.state == "missing" and "Linux" in verdict.fix
     good = machine_checks.check_timer(LateClock(70_000))
     assert good.state == "ok" and "70 µs (p50), 70 µs (p99), 0 slips" in good.found
     bad = machine_checks.check_timer(LateClock(2_300_000))
@@ -27,7 +27,7 @@ def test_another_system_is_missing_with_its_mend_and_the_timer_check_gives_the_l
 
 
 @pytest.mark.parametrize(
-    ("broken", "mend"),
+    ("broken", "fix"),
     [
         ({}, None),
         ({"bus.Reader.wait": lambda *_: False, "bus.Reader.latest": lambda *_: None}, ""),
@@ -40,13 +40,13 @@ def test_another_system_is_missing_with_its_mend_and_the_timer_check_gives_the_l
     ids=["good", "silent", "wakes-once"],
 )
 def test_the_topic_check_finds_what_does_not_work_and_leaves_nothing_behind(
-    monkeypatch, broken, mend
+    monkeypatch, broken, fix
 ):
     for name, does in broken.items():
         monkeypatch.setattr(f"kontur_av.topics.{name}", does)
     verdict = machine_checks.check_topics()
-    assert verdict.state == ("ok" if mend is None else "missing")
-    assert not mend or verdict.mend == mend
+    assert verdict.state == ("ok" if fix is None else "missing")
+    assert not fix or verdict.fix == fix
     assert not shared_memory(f"doctor-{os.getpid()}")
 
 

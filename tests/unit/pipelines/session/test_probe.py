@@ -2,11 +2,11 @@
 
 import pytest
 
-from pipelines.media.figures import DisplayFigures
-from pipelines.session.figures import LatenessRow, ProbeFigures, RxRow, ShownRow
+from pipelines.media.media_metrics import DisplayMetrics
 from pipelines.session.probe import FLUSH_NS, Message, Probe, Series
+from pipelines.session.session_metrics import LatenessRow, ProbeMetrics, RxRow, ShownRow
 from pipelines.session.session_switch import Order
-from telepresence.haptics.figures import PortFigures, SamplesSent
+from telepresence.haptics.haptic_metrics import PortMetrics, SamplesSent
 
 
 def told(probe, now_ns):
@@ -18,22 +18,22 @@ def told(probe, now_ns):
 
 def test_counters_are_repeated_and_rows_and_orders_are_sent_once():
     probe, video = Probe(), "uplink_video"
-    figures = {
+    metrics = {
         (SamplesSent, ""): SamplesSent(sent=4, left_out=0),
-        (PortFigures, ""): PortFigures(credit_uj=-5, least_uj=7),
-        (DisplayFigures, video): DisplayFigures(frames_displayed=1),
+        (PortMetrics, ""): PortMetrics(credit_uj=-5, least_uj=7),
+        (DisplayMetrics, video): DisplayMetrics(frames_displayed=1),
     }
-    for (_, stream), each in figures.items():
-        probe.tell(each, stream)
+    for (_, stream), each in metrics.items():
+        probe.publish(each, stream)
     probe.series(RxRow).add(RxRow(1, -3))
     probe.series(ShownRow, video).add(ShownRow(7, 8, 9))
     probe.message.orders.append(Order.STOP)
     message, rows = told(probe, 0)
-    assert (message.figures, message.orders) == (figures, [Order.STOP])
+    assert (message.metrics, message.orders) == (metrics, [Order.STOP])
     assert rows == [(RxRow, "", [RxRow(1, -3)]), (ShownRow, video, [ShownRow(7, 8, 9)])]
     probe.series(RxRow).extend([RxRow(2, 4), RxRow(3, 5)])
     message, rows = told(probe, 1)
-    assert (message.figures, message.orders) == (figures, [])
+    assert (message.metrics, message.orders) == (metrics, [])
     assert rows == [(RxRow, "", [RxRow(2, 4), RxRow(3, 5)])]
 
 
@@ -65,4 +65,4 @@ def test_rows_without_a_reader_are_kept_for_a_while_and_dropped_whole():
     arrivals.add(RxRow(5, -5))
     message, rows = told(probe, 2)
     assert rows == [(RxRow, "", [RxRow(5, -5)])]
-    assert message.figures[ProbeFigures, ""].probe_values_dropped == 20_002
+    assert message.metrics[ProbeMetrics, ""].probe_values_dropped == 20_002

@@ -6,8 +6,8 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.session.session_switch import (
-    PATIENCE_NS,
     SENDER_REST_NS,
+    TIMEOUT_NS,
     Activity,
     Order,
     RestartPolicy,
@@ -66,13 +66,13 @@ def test_a_start_waits_until_all_have_ended_and_a_later_stop_takes_it_back(switc
 
 def test_what_does_not_end_by_itself_is_ended(switch):
     switch.handle_order(Order.STOP, 10)
-    assert switch.poll_timeout() == 10 + PATIENCE_NS
-    switch.handle_timeout(9 + PATIENCE_NS)
+    assert switch.poll_timeout() == 10 + TIMEOUT_NS
+    switch.handle_timeout(9 + TIMEOUT_NS)
     assert done(switch) == (Activity.STOPPING, [END])
-    switch.handle_timeout(10 + PATIENCE_NS)
+    switch.handle_timeout(10 + TIMEOUT_NS)
     assert done(switch) == (Activity.STOPPING, [KILL])
     assert switch.poll_timeout() is None
-    switch.handle_all_ended(11 + PATIENCE_NS)
+    switch.handle_all_ended(11 + TIMEOUT_NS)
     assert switch.activity is Activity.STOPPED
 
 
@@ -85,7 +85,7 @@ def test_a_session_may_end_while_it_is_stopped(switch):
 
 
 def lives(policy, lives_s, now_ns=0):
-    """Live so long each time; (start, end) of each life, and when the next is due."""
+    """Live so long each time; (start, end) of each start, and when the next is due."""
     found = []
     for life_s in lives_s:
         policy.handle_start(now_ns)
@@ -114,7 +114,7 @@ def test_the_pause_doubles_up_to_a_second_while_lives_are_short(stage, lives_s, 
     found = pauses_ns(lives(policy, lives_s))
     assert found == [pause * NS_PER_MS for pause in pauses_ms]
 
-    # No second holds packets of two lives of a sender: its next life begins a second later.
+    # No second holds packets of two starts of a sender: its next start begins a second later.
     for life_s in (0, 0.3, 60):
         assert min(pauses_ns(lives(RestartPolicy(Stage.SENDER), [life_s] * 8))) > NS_PER_S
 
@@ -124,7 +124,7 @@ def test_a_stopped_process_stays_stopped_until_it_is_started():
     policy.handle_start(0)
     policy.handle_wanted(False, 5)
     # One that does not end by itself is killed.
-    assert (policy.poll_timeout(), policy.poll_kill()) == (None, 5 + PATIENCE_NS)
+    assert (policy.poll_timeout(), policy.poll_kill()) == (None, 5 + TIMEOUT_NS)
     policy.handle_stop(8)
     assert policy.poll_timeout() is None
     policy.handle_wanted(True, 10)

@@ -2,8 +2,8 @@
 
 import pickle
 
-from kontur_av.figures import over, plus
-from pipelines.mission.figures import TaskFigures
+from kontur_av.metrics import over, plus
+from pipelines.mission.mission_metrics import TaskMetrics
 from pipelines.session.task_journal import KEPT, OPEN, LinkMeanwhile, TaskJournal
 from telepresence.tasks.experiment import Logged, RunStep, TaskRun
 from telepresence.tmtc.k2aci import TaskResult
@@ -25,7 +25,7 @@ def end(journal, run, result=TaskResult.FINISHED):
 
 
 def told_of(journal):
-    return TaskFigures(runs={row.run: row for row in journal.newest(KEPT)})
+    return TaskMetrics(runs={row.run: row for row in journal.newest(KEPT)})
 
 
 def test_a_row_has_every_step_and_what_is_told_and_kept_does_not_grow():
@@ -42,7 +42,7 @@ def test_a_row_has_every_step_and_what_is_told_and_kept_does_not_grow():
     end(after, 1, TaskResult.ABORTED)
     (row,) = plus(told_of(before), told_of(after)).runs.values()
     assert row.result == "aborted" and len(row.steps) == len(RunStep) - 1
-    journal, told, sizes = TaskJournal(), TaskFigures(runs={}), []
+    journal, told, sizes = TaskJournal(), TaskMetrics(runs={}), []
     for run in range(1, 200):
         begin(journal, run)
         if run % 3:

@@ -5,15 +5,15 @@ import json
 import pytest
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.figures import TrainerFigures
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import TrainerMetrics
 from pipelines.session.terminal_lines import MOST_TERMINALS
 from pipelines.session.training import Exercises, Trainer, TrainerReach
 
 S = NS_PER_S
 
 
-def trainer_of(probe=None, *, here=True, cameras=("iss_camera", "head")):
+def trainer_of(probe=None, *, here=True, cameras=("operator_camera", "head")):
     reach = TrainerReach(radio=here, joystick=here, robot=here, tasks=here, cameras=cameras)
     return Trainer(probe or Probe(), reach)
 
@@ -21,11 +21,11 @@ def trainer_of(probe=None, *, here=True, cameras=("iss_camera", "head")):
 def ask(trainer, exercise, seconds=1, now_ns=0, **more):
     """The answer to a request of a new terminal."""
     request = {"exercise": exercise, "seconds": seconds} | more
-    trainer.desk.handle_terminal(1)
-    trainer.desk.handle_octets(1, json.dumps(request).encode() + b"\n", now_ns)
-    reply = trainer.desk.next_event()
+    trainer.service.handle_terminal(1)
+    trainer.service.handle_octets(1, json.dumps(request).encode() + b"\n", now_ns)
+    reply = trainer.service.next_event()
     assert reply.last
-    assert trainer.desk.next_event() is None
+    assert trainer.service.next_event() is None
     return json.loads(reply.octets) if reply.octets else None
 
 
@@ -36,19 +36,19 @@ def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended():
     assert ask(trainer, "joystick-error", 2.5, 6 * S)["ok"]
     assert ask(trainer, "robot-fault", 4, 6 * S)["text"] == "robot fault for 4 s"
     assert ask(trainer, "task-failed", 1, 6 * S)["text"] == "tasks fail for 1 s"
-    for camera in ("head", "iss_camera"):
+    for camera in ("head", "operator_camera"):
         assert ask(trainer, "camera-lost", 3, 7 * S, camera=camera)["ok"]
     assert Exercises.unpack(trainer.exercises.pack()) == Exercises(
         los_ns=25 * S,
         joystick_ns=round(8.5 * S),
         robot_ns=10 * S,
         tasks_ns=7 * S,
-        cameras_ns={"head": 10 * S, "iss_camera": 10 * S},
+        cameras_ns={"head": 10 * S, "operator_camera": 10 * S},
     )
     assert ask(trainer, "end", now_ns=9 * S)["ok"]
     assert trainer.exercises == Exercises()
-    trainer.tell()
-    gauges = probe.message.figures[TrainerFigures, ""]
+    trainer.publish()
+    gauges = probe.message.metrics[TrainerMetrics, ""]
     assert [event.at_ns // S for event in gauges.exercises] == [5, 6, 6, 6, 7, 7, 9]
 
 
@@ -59,7 +59,7 @@ def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended():
         ({"exercise": "los", "seconds": 0}, "0 s: take more than 0"),
         ({"exercise": "los", "seconds": -1}, "-1 s: take more than 0"),
         ({"exercise": "los", "seconds": 1e9}, "at most 3600"),
-        ({"exercise": "camera-lost", "camera": "left"}, "here are iss_camera, head"),
+        ({"exercise": "camera-lost", "camera": "left"}, "here are operator_camera, head"),
     ],
 )
 def test_what_cannot_be_is_refused_and_changes_nothing(request_, says):
@@ -88,13 +88,13 @@ def test_what_is_at_the_other_end_is_asked_for_there_and_what_lasts_is_published
 
 
 def test_garbage_and_too_many_terminals_close_the_connection():
-    desk = trainer_of().desk
+    service = trainer_of().service
     for line in (b"\n", b"[[[[\n", b'{"exercise": 7}\n', b"x" * 9000, b""):
-        desk.handle_terminal(1)
-        desk.handle_octets(1, line, 0)
-        assert desk.next_event() == (1, b"", True)
-        assert desk.asking == []
+        service.handle_terminal(1)
+        service.handle_octets(1, line, 0)
+        assert service.next_event() == (1, b"", True)
+        assert service.asking == []
     for terminal in range(MOST_TERMINALS):
-        desk.handle_terminal(terminal)
-    desk.handle_terminal(99)
-    assert desk.next_event() == (99, b"", True)
+        service.handle_terminal(terminal)
+    service.handle_terminal(99)
+    assert service.next_event() == (99, b"", True)

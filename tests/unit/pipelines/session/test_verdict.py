@@ -110,22 +110,22 @@ def test_one_that_hung_shortly_and_ends_when_asked_has_not_failed():
     health = ProcessHealth()
     health.handle_report(NS_PER_S)
     for at_s, ended, hangs in ((3, False, True), (3, True, False), (7, True, True)):
-        facts = {"restarts": 0, "error": "", "wanted": True, "ended": ended}
-        assert bool(health.trouble(at_s * NS_PER_S, **facts)) is hangs, (at_s, ended)
+        capabilities = {"restarts": 0, "error": "", "wanted": True, "ended": ended}
+        assert bool(health.trouble(at_s * NS_PER_S, **capabilities)) is hangs, (at_s, ended)
 
 
 def test_one_that_was_killed_twice_is_late_or_is_not_to_run_has_not_failed():
-    health, facts = ProcessHealth(idle=True), {"restarts": 2, "error": "ended by SIGSEGV"}
+    health, capabilities = ProcessHealth(idle=True), {"restarts": 2, "error": "ended by SIGSEGV"}
     for at_s, report in ((0.5, True), (15.4, False), (15.4, True), (25.0, False)):
-        assert health.trouble(round(at_s * NS_PER_S), **facts, wanted=True) == ""
+        assert health.trouble(round(at_s * NS_PER_S), **capabilities, wanted=True) == ""
         if report:
             health.handle_report(round(at_s * NS_PER_S))
     health.handle_killed()
-    assert health.trouble(99 * NS_PER_S, **facts, wanted=False) == ""
-    assert "it hangs" in health.trouble(99 * NS_PER_S, **facts, wanted=True)
+    assert health.trouble(99 * NS_PER_S, **capabilities, wanted=False) == ""
+    assert "it hangs" in health.trouble(99 * NS_PER_S, **capabilities, wanted=True)
     # One that hung for long has failed, even if it goes on.
     health.handle_report(99 * NS_PER_S)
-    words = health.trouble(99 * NS_PER_S, **facts, wanted=False)
+    words = health.trouble(99 * NS_PER_S, **capabilities, wanted=False)
     now = ProcessNow(name="files", restarts=0, running=True, error="", trouble=words)
     assert process_failures([now]) == [f"files: {words}"] and "it hangs" in words
 

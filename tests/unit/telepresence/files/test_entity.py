@@ -54,7 +54,7 @@ def test_a_file_goes_each_way_and_several_at_once():
 
 
 def test_a_loss_of_signal_suspends_and_the_next_contact_goes_on_to_the_octet():
-    pair, transfer = putting(patience_ns=5 * NS_PER_S)
+    pair, transfer = putting(timeout_ns=5 * NS_PER_S)
     pair.contact = False
     pair.run(1)
     sent, octets = len(pair.sent), transfer.octets
@@ -118,7 +118,7 @@ def test_what_is_asked_of_the_other_directory():
 
 
 def test_a_killed_receiver_gets_the_file_again_and_a_killed_sender_leaves_nothing():
-    pair, transfer = putting(patience_ns=60 * NS_PER_S)
+    pair, transfer = putting(timeout_ns=60 * NS_PER_S)
     pair.space.restart(pair.now_ns)
     pair.run(20)
     assert transfer.state == DONE
@@ -133,7 +133,7 @@ def test_a_killed_receiver_gets_the_file_again_and_a_killed_sender_leaves_nothin
 
 
 def test_an_end_that_nobody_answers_gives_up():
-    pair, transfer = putting(b"f", 0, loss=1.0, patience_ns=20 * NS_PER_S)
+    pair, transfer = putting(b"f", 0, loss=1.0, timeout_ns=20 * NS_PER_S)
     asked = pair.ground.entity.ask(GET, "a", "b", 0)
     pair.run(60)
     assert (transfer.state, asked.state) == (FAILED, FAILED)

@@ -11,7 +11,7 @@ from pipelines.session.setup.setup_file import TASKBOARD
 from telepresence.haptics.axes import (
     AXIS_OCTETS,
     MOST_AXIS_ENERGY_UJ,
-    AxisFacts,
+    AxisCapabilities,
     check_axes,
     pack_axes,
     read_axes,
@@ -19,7 +19,7 @@ from telepresence.haptics.axes import (
 from telepresence.haptics.sample import POSITION_M, SAMPLE_OCTETS
 from telepresence.link.profile import UPLINK
 
-Z = AxisFacts(name="z", half_range=0.1, force_limit=10.0, speed=0.5)
+Z = AxisCapabilities(name="z", half_range=0.1, force_limit=10.0, speed=0.5)
 values = st.tuples(st.floats(-0.6, 0.6), st.integers(0, MOST_AXIS_ENERGY_UJ), st.booleans())
 
 

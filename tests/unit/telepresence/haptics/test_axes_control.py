@@ -19,10 +19,10 @@ NAMES = ("z", "yaw", "gripper")
 def axes_pair(**path):
     handle = OperatedHandle(SimulatedDevice(hand=Hand(), axes=NAMES))
     return HapticPair(
-        JoystickSide(handle=handle, link=joystick_link(life=5, more=len(NAMES))),
+        JoystickSide(handle=handle, link=joystick_link(boot_id=5, more=len(NAMES))),
         RobotSide(
             robot=Robot(axes=NAMES),
-            link=robot_link(life=7, more=len(NAMES)),
+            link=robot_link(boot_id=7, more=len(NAMES)),
             envelope=SafetyEnvelope(),
         ),
         **path,
@@ -58,13 +58,13 @@ def test_each_axis_is_felt_and_gives_no_energy(delay_ms, loss):
 @pytest.mark.rule("S3")
 def test_no_axis_moves_without_a_press_nor_jumps_at_one():
     pair = axes_pair(delay_ms=10)
-    places = []
+    positions = []
     for cycle in cycles(pair, 9_000):
         # A loss of signal in between: afterwards the hand must press anew.
         pair.cut = 4_000 < cycle < 5_000
         if not pair.ground.envelope.presses:
-            assert all(axis.place_m == 0.0 for axis in pair.robot.more)
-        places.append(pair.robot.more[0].place_m)
+            assert all(axis.position_m == 0.0 for axis in pair.robot.more)
+        positions.append(pair.robot.more[0].position_m)
     assert pair.ground.envelope.presses == 2
-    assert max(abs(after - before) for before, after in pairwise(places)) < 0.6e-3
-    assert max(places) > 0.02
+    assert max(abs(after - before) for before, after in pairwise(positions)) < 0.6e-3
+    assert max(positions) > 0.02

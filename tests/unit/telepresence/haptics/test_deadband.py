@@ -140,7 +140,7 @@ def test_a_sample_left_out_does_not_count_as_lost():
         latest = joystick.latest(k * NS_PER_MS + NS_PER_MS // 2)
         # Greetings come first.
         assert k < 5 or latest.contact == (push_n(k) > 0)
-    report, told = joystick.received_figures(), robot.sent_figures()
+    report, told = joystick.received_metrics(), robot.sent_metrics()
     assert report.received == told.sent < 600
     assert report.lost == report.late == report.restarts == report.garbage == 0
     assert told.left_out + told.sent + report.greetings + report.echoes == 3000
@@ -171,4 +171,4 @@ def test_without_a_deadband_every_sample_is_sent():
     assert link.poll_transmit(0) is not None
     link.handle_local(REST, NS_PER_MS)
     assert link.poll_transmit(NS_PER_MS) is not None
-    assert link.sent_figures().left_out is None
+    assert link.sent_metrics().left_out is None

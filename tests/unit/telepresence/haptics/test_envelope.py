@@ -4,12 +4,12 @@ import tomllib
 from dataclasses import asdict, fields, replace
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from kontur_av.clock import NS_PER_MS as MS
+from telepresence.haptics.authority import Authority, ControlAuthority
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import Hold, SafetyEnvelope, SafetyLimits
-from telepresence.haptics.ownership import HapticOwnership, Owner
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.haptics.sample import STATE_APPLICATION, STATE_HALTED, Command
 
@@ -22,7 +22,7 @@ class Bench:
     def __init__(self, limits=LIMITS, **options):
         self.envelope = SafetyEnvelope(limits, **options)
         model = RobotControllerModel(speed_m_s=limits.speed_m_s, half_width_m=limits.half_width_m)
-        self.side = RobotSide(model=model, envelope=self.envelope, ownership=HapticOwnership())
+        self.side = RobotSide(model=model, envelope=self.envelope, ownership=ControlAuthority())
         self.side.link.latest = lambda now_ns: self.command
         self.now_ns = 0
         # More energy than any motion takes.
@@ -117,11 +117,11 @@ def power_off(bench):
 
 def hand_over(bench):
     """The partner drives once the tip has rested; no energy of the owner before pays for it."""
-    bench.side.ownership.handle_order(Owner.PARTNER, bench.now_ns)
+    bench.side.ownership.handle_order(Authority.PARTNER, bench.now_ns)
     bench.run(299)
-    assert bench.side.ownership.owner is None
+    assert bench.side.ownership.authority is None
     bench.run(200)
-    assert bench.side.ownership.owner is Owner.PARTNER
+    assert bench.side.ownership.authority is Authority.PARTNER
 
 
 INTERRUPTIONS = {
@@ -141,10 +141,10 @@ def test_s3_after_an_interruption_it_needs_a_new_press_and_starts_where_it_is(wh
     interrupt(bench)
     assert bench.holds(cause)
     bench.move(0.1)
-    place_m = bench.side.robot.x_m
+    position_m = bench.side.robot.x_m
     bench.press().run(200)
-    assert bench.side.robot.x_m == pytest.approx(place_m, abs=0.002)
-    assert bench.envelope.offset_m[0] == pytest.approx(place_m - bench.command.x_m, abs=0.002)
+    assert bench.side.robot.x_m == pytest.approx(position_m, abs=0.002)
+    assert bench.envelope.offset_m[0] == pytest.approx(position_m - bench.command.x_m, abs=0.002)
     assert bench.follows()
 
 
@@ -170,9 +170,9 @@ def test_s4_without_the_dead_man_button_it_holds_still():
     since_s = bench.now_ns / 1e9
     bench.change(dead_man=False)
     assert bench.holds(Hold.RELEASED)
-    figures = bench.envelope.report()
-    assert (figures.hold, figures.waiting, figures.presses) == (Hold.RELEASED, True, 1)
-    assert figures.since_s == pytest.approx(since_s, abs=0.002)
+    metrics = bench.envelope.report()
+    assert (metrics.hold, metrics.waiting, metrics.presses) == (Hold.RELEASED, True, 1)
+    assert metrics.since_s == pytest.approx(since_s, abs=0.002)
     bench.change(dead_man=True)
     assert bench.follows()
 

@@ -67,23 +67,23 @@ def test_the_muscles_are_a_spring_and_a_damper_with_a_greatest_push(model):
 def test_a_person_lets_go_when_the_robot_is_lost_and_presses_when_it_waits():
     grip, seen = Grip(), []
 
-    def tell(until_ms, *, heard, waiting=False):
-        for ms in range(tell.now, until_ms):
+    def publish(until_ms, *, heard, waiting=False):
+        for ms in range(publish.now, until_ms):
             grip.handle_robot(heard, waiting, ms * MS)
             if not seen or seen[-1][1:] != (grip.pressed, grip.following):
                 seen.append((ms, grip.pressed, grip.following))
-        tell.now = until_ms
+        publish.now = until_ms
 
-    tell.now = 0
-    tell(1000, heard=True)
+    publish.now = 0
+    publish(1000, heard=True)
     # Lost after 0.3 s; heard again, but only just let go: presses 0.5 s after that.
-    tell(1400, heard=False)
-    tell(2000, heard=True, waiting=True)
-    tell(2100, heard=True)
-    tell(3000, heard=True, waiting=True)
+    publish(1400, heard=False)
+    publish(2000, heard=True, waiting=True)
+    publish(2100, heard=True)
+    publish(3000, heard=True, waiting=True)
     # A robot that does not follow for 3 s is pressed for anew.
-    tell(7000, heard=True, waiting=True)
-    tell(7100, heard=True)
+    publish(7000, heard=True, waiting=True)
+    publish(7100, heard=True)
     assert seen == [
         (0, True, True),
         (1299, False, False),

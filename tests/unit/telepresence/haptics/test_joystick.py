@@ -67,9 +67,9 @@ def test_a_stop_pushes_back_and_never_pulls(axis, sign):
         (0.001, -0.5, 0.0),
         (0.0, 0.0, 0.0),
     ):
-        place, speed = [0.0, 0.0], [0.0, 0.0]
-        place[axis], speed[axis] = sign * (end + depth_m), sign * speed_m_s
-        joystick = Joystick(SMOOTH, x_m=place[0], y_m=place[1])
+        position, speed = [0.0, 0.0], [0.0, 0.0]
+        position[axis], speed[axis] = sign * (end + depth_m), sign * speed_m_s
+        joystick = Joystick(SMOOTH, x_m=position[0], y_m=position[1])
         joystick.vx_m_s, joystick.vy_m_s = speed
         pushed(joystick, 1)
         got = (joystick.vx_m_s, joystick.vy_m_s)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.figures import SamplesReceived
+from telepresence.haptics.haptic_metrics import SamplesReceived
 from telepresence.haptics.loop import PeerFound, PeerLost, PeerRestarted, joystick_link, robot_link
 from telepresence.haptics.sample import (
     FLAG_HOLDING,
@@ -48,7 +48,7 @@ def test_the_newest_sample_wins_and_a_late_one_is_not_used():
     assert link.latest(4 * MS).x_m == pytest.approx(0.0)
     assert link.sent == 0
     none = dict.fromkeys(("lost", "strays", "greetings", "garbage", "restarts"), 0)
-    assert link.received_figures() == SamplesReceived(
+    assert link.received_metrics() == SamplesReceived(
         received=3, late=1, repeated=1, sessions=1, **none
     )
     assert [sequence for sequence, _ in link.take_received_stamps()] == [65534, 65535, 1]
@@ -97,7 +97,7 @@ def test_a_restarted_peer_is_heard_within_a_tenth_of_a_second(newest):
         arrive(sequence, now_ns)
     now_ns += 500 * MS
     link.poll_transmit(now_ns)
-    peer, heard = joystick_link(life=2), []
+    peer, heard = joystick_link(boot_id=2), []
     for sequence in range(200):
         now_ns += MS
         peer.handle_local(command(0.5), now_ns)
@@ -150,8 +150,8 @@ def test_only_the_newest_sample_is_sent_and_only_once():
 
 def test_restart_is_an_event():
     link = robot_link()
-    for life, sequence in ((1, 40_000), (2, 7), (2, 8)):
-        session = begin_session(link, request=life << 8)
+    for boot_id, sequence in ((1, 40_000), (2, 7), (2, 8)):
+        session = begin_session(link, request=boot_id << 8)
         link.handle_datagram(pack_command(sequence, command(0.0), session=session), 0)
     assert list(iter(link.next_event, None)) == [PeerFound(0), PeerRestarted(0)]
     assert (link.received, link.late, link.lost) == (3, 0, 0)
@@ -179,7 +179,7 @@ def test_a_greeting_alone_changes_nothing():
 
 
 class Archive:
-    """Two links, all datagrams that any of their lives has sent, and what each life granted."""
+    """Two links, all datagrams that any of their lives has sent, and what each start granted."""
 
     def __init__(self, random: Random) -> None:
         self.random = random
@@ -188,7 +188,7 @@ class Archive:
         self.links = [joystick_link(), robot_link()]
         self.sent = [[], []]
         self.granted_uj = [0, 0]
-        #: At the start of this life, and granted by lives that have ended.
+        #: At the start of this start, and granted by starts that have ended.
         self.start_uj, self.granted_before_uj = [0, 0], [0, 0]
         self.heard_before_uj = [0, 0]
         for end in (0, 1):
@@ -197,9 +197,9 @@ class Archive:
     def restart(self, end: int) -> None:
         self.heard_before_uj[end] += self.heard_uj(end)
         self.granted_before_uj[end] += self.granted_uj[end] - self.start_uj[end]
-        # So far apart, and so few in a test, that no two sums of lives give one session number.
+        # So far apart, and so few in a test, that no two sums of starts give one session number.
         self.lives += 8
-        self.links[end] = (robot_link if end else joystick_link)(life=self.lives)
+        self.links[end] = (robot_link if end else joystick_link)(boot_id=self.lives)
         self.granted_uj[end] = self.start_uj[end] = 0
 
     def heard_uj(self, end: int) -> int:
@@ -227,7 +227,7 @@ class Archive:
                     self.deliver(end, max(0, newest - back), 1)
 
     def deliver(self, end: int, first: int, count: int) -> None:
-        """Deliver datagrams of `end`, or of its earlier lives, to the present peer."""
+        """Deliver datagrams of `end`, or of its earlier starts, to the present peer."""
         for data in self.sent[end][first : first + count]:
             self.links[1 - end].handle_datagram(data, self.now_ns)
             self.check()
@@ -254,7 +254,7 @@ steps = st.one_of(
 @settings(max_examples=50)
 @given(steps=st.lists(steps, max_size=14), seed=st.integers(0, 1 << 32))
 def test_no_order_of_delivery_credits_more_than_was_granted(steps, seed):
-    """Over all lives of both ends: loss, repetition, reordering, replay and restarts."""
+    """Over all starts of both ends: loss, repetition, reordering, replay and restarts."""
     archive = Archive(Random(seed))
     archive.cycles(20, 1_000, 1)
     for step in steps:

@@ -12,17 +12,17 @@ from telepresence.haptics.sample import MODE_IMPEDANCE, MODE_OFF, MODE_POSITION,
 MS = 1_000_000
 
 
-def free(model=None, **place):
-    return Robot(model, board=Board(spring=None, contour=None), **place)
+def free(model=None, **position):
+    return Robot(model, board=Board(spring=None, contour=None), **position)
 
 
 def driven(robot, milliseconds):
     """Return the places of the tip, one a millisecond."""
-    places = []
+    positions = []
     for _ in range(milliseconds):
         robot.drive(MS)
-        places.append((robot.x_m, robot.y_m))
-    return places
+        positions.append((robot.x_m, robot.y_m))
+    return positions
 
 
 def test_the_joints_work_is_the_energy_of_the_tip_and_friction_takes_the_rest():
@@ -32,8 +32,8 @@ def test_the_joints_work_is_the_energy_of_the_tip_and_friction_takes_the_rest():
     before_j = 0.25 * (0.1**2 + 0.2**2)
     for _ in range(100):
         robot.step(0.5, -1.0, MS)
-    place = (robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s)
-    assert place == pytest.approx((0.024399, -0.008797, 0.185687, -0.371374), abs=1e-6)
+    position = (robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s)
+    assert position == pytest.approx((0.024399, -0.008797, 0.185687, -0.371374), abs=1e-6)
     kinetic_j = 0.25 * (robot.vx_m_s**2 + robot.vy_m_s**2) - before_j
     assert robot.work_j == pytest.approx(0.035997, abs=1e-6)
     lost_j = sum(0.5 * speed**2 for speed in (0.147, 0.294)) * 0.1
@@ -73,13 +73,13 @@ def test_each_mode_drives_the_tip_in_its_own_way():
     assert hypot(robot.vx_m_s, robot.vy_m_s) < 1e-6 and robot.x_m < 0.002 and robot.work_j < 0.0
     x_m, y_m = robot.x_m, robot.y_m
     robot.set_position(x_m + 0.03, y_m - 0.015)
-    places = driven(robot, 400)
+    positions = driven(robot, 400)
     assert robot.mode == MODE_POSITION and not robot.coupled
     # 0.3 m/s along each axis; its damper leaves the tip behind by 6.75 mm.
-    assert places[99][0] == pytest.approx(x_m + 0.03 - 0.00675, abs=3e-4)
-    assert places[49][1] == pytest.approx(y_m - 0.015 + 0.00675, abs=1e-3)
-    assert places[-1] == pytest.approx((x_m + 0.03, y_m - 0.015), abs=1e-5)
-    assert max(b[0] - a[0] for a, b in pairwise(places)) < 1.1 * 0.3e-3
+    assert positions[99][0] == pytest.approx(x_m + 0.03 - 0.00675, abs=3e-4)
+    assert positions[49][1] == pytest.approx(y_m - 0.015 + 0.00675, abs=1e-3)
+    assert positions[-1] == pytest.approx((x_m + 0.03, y_m - 0.015), abs=1e-5)
+    assert max(b[0] - a[0] for a, b in pairwise(positions)) < 1.1 * 0.3e-3
     # A new goal is reached from the setpoint, not from the tip.
     robot.set_position(x_m, y_m)
     robot.x_m += 0.001
@@ -95,11 +95,11 @@ def test_each_mode_drives_the_tip_in_its_own_way():
 def test_the_spring_of_an_impedance_swings_as_its_stiffness_damping_and_mass_say():
     robot = free(RobotModel(friction_n_s_m=0.0), x_m=0.02)
     robot.set_impedance(0.01, 0.0, 100.0, 1.0)
-    places = [x_m for x_m, _ in driven(robot, 1000)]
+    positions = [x_m for x_m, _ in driven(robot, 1000)]
     # omega² = 200/s² - (1/s)²: a half swing lasts 222.7 ms, and leaves exp(-0.2227) of its size.
-    lowest = min(range(1000), key=places.__getitem__)
+    lowest = min(range(1000), key=positions.__getitem__)
     assert lowest == pytest.approx(222.7, abs=3)
-    assert places[lowest] == pytest.approx(0.01 - 0.01 * 0.8004, abs=1e-4)
+    assert positions[lowest] == pytest.approx(0.01 - 0.01 * 0.8004, abs=1e-4)
 
 
 def test_a_robot_lights_what_it_touches():

@@ -36,8 +36,8 @@ def test_without_a_valid_command_the_robot_holds_and_its_pressure_decays(command
     seen = [(robot.x_m, robot.force_n) for _ in drive(side, robot, [command] * 3000)]
     assert side.holding
     assert max(force_n for _, force_n in seen) > 5.0 and seen[-1][1] < 0.2
-    places = [x_m for x_m, _ in seen]
-    assert 0.059 < min(places[500:]) <= max(places) < 0.08
+    positions = [x_m for x_m, _ in seen]
+    assert 0.059 < min(positions[500:]) <= max(positions) < 0.08
     assert side.credit_uj >= 0.0
 
 
@@ -74,20 +74,20 @@ def test_without_energy_the_reference_stays_and_an_observer_only_counts():
 def test_the_reference_catches_up_at_a_bounded_speed(limit_m_s):
     side = RobotController()
     side.speed_m_s = limit_m_s
-    x_m, v_m_s, places, tips = 0.0, 0.0, [], []
+    x_m, v_m_s, positions, tips = 0.0, 0.0, [], []
     for k in range(1500):
         # Nothing is granted in the first 500 ms, then more than enough.
         granted_uj = 0 if k < 500 else (k - 499) * 2000
         force, _ = side.step(Command(0.1, 0.0, granted_uj), x_m, 0.0, v_m_s, 0.0, MS)
         v_m_s += force / 0.5 * 1e-3
         x_m += v_m_s * 1e-3
-        places.append(side.reference_x_m)
+        positions.append(side.reference_x_m)
         tips.append(v_m_s)
-    assert places[499] == 0.0
-    assert places[-1] == pytest.approx(0.1, abs=1e-4)
+    assert positions[499] == 0.0
+    assert positions[-1] == pytest.approx(0.1, abs=1e-4)
     # Nor does the tip overshoot that speed.
     assert 0.9 * limit_m_s < max(tips) <= limit_m_s
-    assert 0.1 < max(b - a for a, b in pairwise(places)) * 1000 <= limit_m_s + 1e-9
+    assert 0.1 < max(b - a for a, b in pairwise(positions)) * 1000 <= limit_m_s + 1e-9
 
 
 @pytest.mark.parametrize("limit_m_s", [0.5, 0.2, 0.1, 0.065])

@@ -5,27 +5,27 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS as MS
 from kontur_av.errors import ConfigError
-from telepresence.haptics.axes import AxisFacts, AxisReading
+from telepresence.haptics.axes import AxisCapabilities, AxisReading
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.loop import robot_link
-from telepresence.haptics.robot import JointReading, RobotFacts
+from telepresence.haptics.robot import JointReading, RobotCapabilities
 from telepresence.haptics.robot_device import DrivenRobot, RobotReading
 from telepresence.haptics.sample import Command
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
 
-Z = AxisFacts(name="z", half_range=0.1, force_limit=10.0, speed=0.5)
-YAW = AxisFacts(name="yaw", half_range=1.0, force_limit=0.5, speed=3.0)
+Z = AxisCapabilities(name="z", half_range=0.1, force_limit=10.0, speed=0.5)
+YAW = AxisCapabilities(name="yaw", half_range=1.0, force_limit=0.5, speed=3.0)
 
 
 class Arm:
     """A mass of 1 kg that says what was asked of it."""
 
-    facts = RobotFacts(name="arm", force_limit_n=5.0)
+    capabilities = RobotCapabilities(name="arm", force_limit_n=5.0)
 
     def __init__(self, takes="force"):
-        self.facts = RobotFacts(name="arm", force_limit_n=5.0, takes=takes)
+        self.capabilities = RobotCapabilities(name="arm", force_limit_n=5.0, takes=takes)
         self.calls = []
         self.force, self.most_n = (0.0, 0.0), 0.0
         self.reading = RobotReading(0.01, 0.02, 0.0, 0.0)
@@ -47,7 +47,7 @@ class Arm:
             self.reading = self.reading._replace(x_m=x_m, y_m=y_m, vx_m_s=vx_m_s, vy_m_s=vy_m_s)
 
     def advance(self, dt_ns):
-        if self.facts.takes == "force":
+        if self.capabilities.takes == "force":
             x, y, vx, vy, *rest = self.reading
             dt = dt_ns / 1e9
             vx, vy = vx + self.force[0] * dt, vy + self.force[1] * dt
@@ -59,20 +59,20 @@ class Guide(Arm):
 
     def __init__(self, takes="force"):
         super().__init__(takes)
-        self.facts = RobotFacts(name="guide", takes=takes, more=(Z, YAW))
+        self.capabilities = RobotCapabilities(name="guide", takes=takes, more=(Z, YAW))
         self.more = [AxisReading(0.0, 0.0)] * 2
 
     def write_more_forces(self, forces):
         self.more_forces = forces
 
-    def write_more_positions(self, places, speeds):
-        self.more = [AxisReading(place, 0.0) for place in places]
+    def write_more_positions(self, positions, speeds):
+        self.more = [AxisReading(position, 0.0) for position in positions]
 
     def advance(self, dt_ns):
         super().advance(dt_ns)
-        if self.facts.takes == "force":
+        if self.capabilities.takes == "force":
             self.more = [
-                AxisReading(axis.place + force * gain * dt_ns / 1e9, 0.0)
+                AxisReading(axis.position + force * gain * dt_ns / 1e9, 0.0)
                 for axis, force, gain in zip(self.more, self.more_forces, (0.01, 20.0), strict=True)
             ]
 
@@ -192,7 +192,7 @@ def test_what_a_driver_raises_is_the_robots_error_and_never_ends_the_session(cal
 def test_a_driver_that_does_not_come_up_is_refused_and_left_without_power(call, returns):
     arm = Arm()
     if call == "facts":
-        arm.facts = returns
+        arm.capabilities = returns
         failing = arm
     else:
         failing = Failing(arm, call, returns=returns)
@@ -246,7 +246,7 @@ def test_a_users_axes_are_driven(takes):
         )
         side.link.latest = lambda now_ns, command=command: command
         side.handle_cycle(cycle * MS, MS)
-        most = [max(old, abs(new.place)) for old, new in zip(most, device.more, strict=True)]
+        most = [max(old, abs(new.position)) for old, new in zip(most, device.more, strict=True)]
     assert side.robot.error == ""
     # m and rad, as the facts have them: yaw's lever has 0.1 m.
     assert most == pytest.approx([0.03, 0.5], rel=0.05)
@@ -264,6 +264,6 @@ def test_an_axis_that_measures_what_cannot_be_is_an_error(reading, words):
     device = Guide("position")
     robot = DrivenRobot(device)
     device.more = [reading, AxisReading(0.0, 0.0)]
-    device.write_more_positions = lambda places, speeds: None
+    device.write_more_positions = lambda positions, speeds: None
     robot.step(0.0, 0.0, MS)
     assert words in robot.error

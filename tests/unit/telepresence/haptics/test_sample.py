@@ -92,10 +92,10 @@ def test_bits_are_where_the_table_says():
         ((inf, -inf), (32767, -32767, 2)),
     ],
 )
-def test_a_value_out_of_range_is_cut_and_flagged(places, counted):
+def test_a_value_out_of_range_is_cut_and_flagged(positions, counted):
     for data in (
-        pack_command(0, Command(*places, 1 << 30, dead_man=False)),
-        pack_feedback(0, Feedback(*(100.0 * place for place in places), 1 << 30, False)),
+        pack_command(0, Command(*positions, 1 << 30, dead_man=False)),
+        pack_feedback(0, Feedback(*(100.0 * position for position in positions), 1 << 30, False)),
     ):
         flags, x, y, energy = struct.unpack(">xxBxhhI", data)
         assert (x, y, flags & 2) == counted

@@ -22,10 +22,10 @@ def answer_to(robot: RobotSession, request: Greeting) -> Greeting:
 def test_a_request_to_another_life_is_offered_nothing():
     """Its session number is of the past: the successor may be, too."""
     robot = RobotSession(7)
-    life = answer_to(robot, Greeting(49, 0x100, 6 << 8))
-    assert life == Greeting(0, 7 << 8, 0x100)
+    boot_id = answer_to(robot, Greeting(49, 0x100, 6 << 8))
+    assert boot_id == Greeting(0, 7 << 8, 0x100)
     assert not any(robot.handle_change(session) for session in range(1, 256))
-    assert answer_to(robot, Greeting(49, 0x100, life.number)).session == 50
+    assert answer_to(robot, Greeting(49, 0x100, boot_id.number)).session == 50
 
 
 def test_an_offer_succeeds_the_session_that_began_not_the_last_that_was_offered():

@@ -4,14 +4,14 @@ import sys
 from dataclasses import replace
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from kontur_av.errors import ConfigError
 from telepresence.haptics.device.simulated import Faults
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.specs import (
+    capabilities_of,
     check_joystick,
-    facts_of,
     is_simulated,
     open_alone,
     open_device,
@@ -28,7 +28,7 @@ def test_what_a_specification_opens():
             open_alone(spec)
     hand = Hand()
     assert open_alone("sim:weak", hand=hand).hand is hand
-    assert [one.name for one in open_alone("sim", axes=("z",)).facts.more] == ["z"]
+    assert [one.name for one in open_alone("sim", axes=("z",)).capabilities.more] == ["z"]
     check_joystick("sim", ("z",))
     with pytest.raises(ConfigError):
         check_joystick("tests.helpers.user_parts:Nothing")
@@ -38,8 +38,8 @@ def test_what_a_specification_opens():
 def test_a_robot_is_named_by_module_and_class(monkeypatch):
     monkeypatch.chdir(ROOT / "samples")
     monkeypatch.setattr(sys, "path", [*sys.path])
-    assert open_robot("own_robot:Mass").facts.name == "a mass before a wall"
-    assert facts_of("own_robot:Mass").force_limit_n == 25.0
+    assert open_robot("own_robot:Mass").capabilities.name == "a mass before a wall"
+    assert capabilities_of("own_robot:Mass").force_limit_n == 25.0
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_a_robot_is_named_by_module_and_class(monkeypatch):
     ],
 )
 def test_a_robot_or_joystick_that_is_not_there_is_one_line(spec, words):
-    for opened in (facts_of, open_device):
+    for opened in (capabilities_of, open_device):
         with pytest.raises(ConfigError, match=words) as refused:
             opened(spec)
         assert "\n" not in str(refused.value)

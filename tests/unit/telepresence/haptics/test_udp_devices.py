@@ -42,7 +42,7 @@ def drive(control, robot, count):
 
 def test_a_robot_is_moved_and_switched_off_for_good(controller):
     robot, control = driven()
-    assert robot.facts.force_limit_n == 25.0
+    assert robot.capabilities.force_limit_n == 25.0
     drive(control, robot, 200)
     assert controller.state == ACTIVE and robot.x_m > 0.01
     robot.close()
@@ -98,15 +98,17 @@ def joystick_cycles(operation, count, begin=0):
 
 
 def test_a_joystick_leads_and_after_a_silence_is_calibrated_before_it_leads_again(controller):
-    controller.facts = PythonController(limits=(0.0,) * 5).facts
+    controller.capabilities = PythonController(limits=(0.0,) * 5).capabilities
     device = udp_devices.UdpJoystick("127.0.0.1:9")
     operation = JoystickOperation(device)
     now = joystick_cycles(operation, 400)
     assert operation.state is JoystickState.APPLICATION
-    controller.place, controller.detail, controller.buttons = [0.03, -0.02], 2, 5
+    controller.position, controller.detail, controller.buttons = [0.03, -0.02], 2, 5
     now = joystick_cycles(operation, 400, now)
     reading = operation.reading
-    assert reading.place(0) == pytest.approx(0.03) and reading.place(1) == pytest.approx(-0.02)
+    assert reading.position(0) == pytest.approx(0.03) and reading.position(1) == pytest.approx(
+        -0.02
+    )
     assert reading.dead_man and reading.buttons == 5
     assert controller.state == JoystickState.APPLICATION and controller.force == [0.0, 0.0]
 
@@ -115,7 +117,7 @@ def test_a_joystick_leads_and_after_a_silence_is_calibrated_before_it_leads_agai
     assert operation.state is JoystickState.RECOVERABLE and "is silent" in operation.reason
     assert isnan(operation.reading.x_m) and not operation.reading.dead_man
     controller.answers = True
-    controller.place = [0.0, 0.0]
+    controller.position = [0.0, 0.0]
     now = joystick_cycles(operation, 2000, now)
     assert operation.state is JoystickState.APPLICATION
     assert operation.force_limit_n == 0.0, "a button that is still held is not a new press"
@@ -123,12 +125,12 @@ def test_a_joystick_leads_and_after_a_silence_is_calibrated_before_it_leads_agai
 
 def test_a_place_that_jumps_is_followed_with_a_hands_acceleration(controller):
     device = udp_devices.UdpJoystick("127.0.0.1:9")
-    places = [0.0]
-    controller.place = [0.05, 0.0]
+    positions = [0.0]
+    controller.position = [0.05, 0.0]
     for _ in range(200):
         device.advance(MS)
-        places.append(device.read().x_m)
-    steps = [b - a for a, b in pairwise(places)]
+        positions.append(device.read().x_m)
+    steps = [b - a for a, b in pairwise(positions)]
     changes = [abs(b - a) for a, b in pairwise(steps)]
-    assert max(changes) < 150.0 * 1e-6 and max(places) < 0.0501
-    assert places[-1] == pytest.approx(0.05)
+    assert max(changes) < 150.0 * 1e-6 and max(positions) < 0.0501
+    assert positions[-1] == pytest.approx(0.05)

@@ -29,8 +29,12 @@ def silence(line):
 
 
 def test_a_handshake_gives_the_facts_and_each_cycle_a_reading(line):
-    facts = line.session.facts
-    assert (facts.name, facts.force_limit_n, facts.half_m[0]) == ("test", 25.0, pytest.approx(0.15))
+    capabilities = line.session.capabilities
+    assert (capabilities.name, capabilities.force_limit_n, capabilities.half_m[0]) == (
+        "test",
+        25.0,
+        pytest.approx(0.15),
+    )
     cycles(line, 100)
     report = line.session.report()
     assert (report.udp_sessions, report.udp_losses, report.udp_unanswered) == (1, 0, 0)
@@ -62,11 +66,11 @@ def test_silence_ends_the_session_and_a_new_one_begins_by_itself(line, controlle
 
 
 def test_what_was_recorded_neither_counts_nor_moves_anything(line, controller):
-    controller.place = [0.05, 0.0]
+    controller.position = [0.05, 0.0]
     line.send()
     (old,) = line.came
     line.receive()
-    controller.place = [0.01, 0.0]
+    controller.position = [0.01, 0.0]
     cycles(line, 5)
     line.session.handle_datagram(old)
     assert line.session.reading.axes[0] == pytest.approx(0.01)
@@ -122,13 +126,13 @@ def test_a_controller_that_does_not_fit_is_refused_with_its_reason(change, probl
 
 def test_another_device_at_the_same_address_is_not_taken_over(line, controller):
     silence(line)
-    controller.facts = controller.facts[:-4] + b"rest"
+    controller.capabilities = controller.capabilities[:-4] + b"rest"
     cycles(line, 300)
     assert line.session.silent and "facts have changed" in line.session.problem
 
 
 def test_a_measurement_that_is_not_a_number_is_garbage(line, controller):
-    controller.place = [float("nan"), 0.0]
+    controller.position = [float("nan"), 0.0]
     cycles(line, 3)
     assert line.session.reading.axes[0] == 0.0
     assert line.session.report().udp_malformed == 3

@@ -15,9 +15,9 @@ BURST = 100
     st.lists(st.tuples(st.integers(0, 300), st.integers(1, BURST)), min_size=1, max_size=30),
     st.sampled_from([1_000, 8_000, 64_000]),
 )
-def test_octets_of_any_window(wishes, rate_bps):
+def test_octets_of_any_window(requests, rate_bps):
     bucket, tokens, now, sent = TokenBucket(rate_bps, BURST), Fraction(BURST), 0, []
-    for pause_ms, octets in wishes:
+    for pause_ms, octets in requests:
         now += pause_ms * MS
         tokens = min(Fraction(BURST), tokens + Fraction(pause_ms * rate_bps, 8000))
         assert bucket.holds(octets, now) == (octets <= tokens)

@@ -93,7 +93,7 @@ class Ends:
         """Yield true time, the first end's estimate and the first end, twice a second."""
         clocks = (lambda now_ns: now_ns, self.peer_ns)
         ends = [
-            clock(master=not number, life=number + 1, now_ns=clocks[number](self.start_ns))
+            clock(master=not number, boot_id=number + 1, now_ns=clocks[number](self.start_ns))
             for number in range(2)
         ]
         under_way = []
@@ -173,18 +173,22 @@ def test_a_step_and_a_new_life_of_the_peer_begin_the_estimate_anew(step_ns):
     assert end.next_ns == true_ns
 
 
-def clock(*, master=True, life=1, now_ns=0, told_offset_ns=0, version=3):
+def clock(*, master=True, boot_id=1, now_ns=0, told_offset_ns=0, version=3):
     end = ClockExchange(
-        version=version, master=master, life=life, told_offset_ns=told_offset_ns, now_ns=now_ns
+        version=version,
+        master=master,
+        boot_id=boot_id,
+        told_offset_ns=told_offset_ns,
+        now_ns=now_ns,
     )
-    end.handle_peer(3 - life, now_ns)
+    end.handle_peer(3 - boot_id, now_ns)
     return end
 
 
 def test_what_is_not_the_peers_is_refused():
-    data = clock(master=False, life=2).poll_transmit(0, 0)
+    data = clock(master=False, boot_id=2).poll_transmit(0, 0)
     assert clock().handle_message(data, 0, heard=True)
-    for other in (clock(master=False), clock(life=2), clock(version=2)):
+    for other in (clock(master=False), clock(boot_id=2), clock(version=2)):
         assert not other.handle_message(data, 0, heard=True)
 
 
@@ -226,7 +230,7 @@ def test_a_message_says_when_it_leaves_and_how_old_the_peers_newest_is():
 
 @pytest.mark.parametrize("heard", [True, False])
 def test_an_end_that_is_not_heard_has_no_offset(heard):
-    one, other = clock(), clock(master=False, life=2)
+    one, other = clock(), clock(master=False, boot_id=2)
     for number in range(12):
         # The other clock is 5 s ahead; 3 ms there, 1 ms back.
         now_ns, there_ns = number * 250 * MS, number * 250 * MS + 5 * S + 3 * MS
@@ -250,8 +254,8 @@ def test_any_clocks_of_the_peer_are_taken_or_begun_anew(told):
         assert exchange.handle_message(bytes.fromhex("25000002") + rest, now_ns, heard=True)
         found = exchange.estimate(now_ns)
         assert found is None or found.error_ns > 0
-    figures = exchange.report(now_ns)
-    assert figures.messages_received == len(told) and figures.restarts <= len(told) + 1
+    metrics = exchange.report(now_ns)
+    assert metrics.messages_received == len(told) and metrics.restarts <= len(told) + 1
 
 
 def report_of(seconds, fraction=0):
@@ -337,8 +341,8 @@ class Gateways:
         self.on_ground = []
         self.space, self.ground = self.gateway(1), self.gateway(2)
 
-    def gateway(self, life):
-        ground = life > 1
+    def gateway(self, boot_id):
+        ground = boot_id > 1
         ways = ((UPLINK, UP), (DOWNLINK, DOWN))
         (transmit, sent), (receive, received) = ways if ground else ways[::-1]
         return Gateway(
@@ -347,11 +351,11 @@ class Gateways:
             receive=receive,
             receive_flows=received,
             master=ground,
-            life=life,
+            boot_id=boot_id,
             now_ns=0 if ground else self.space_ns(0),
             radio=RadioPath(delay_ns=self.radio_ns[not ground]),
             told_offset_ns=0 if self.compare else None,
-            secret=life,
+            secret=boot_id,
         )
 
     def space_ns(self, true_ns):
@@ -361,10 +365,10 @@ class Gateways:
         """Its figures, and by how much its offset is wrong."""
         away_ns = self.space_ns(self.true_ns) - self.true_ns
         if end is self.ground:
-            figures = end.report(self.true_ns).clock
-            return figures, abs(figures.offset_ns - away_ns)
-        figures = end.report(self.space_ns(self.true_ns)).clock
-        return figures, abs(figures.offset_ns + away_ns)
+            metrics = end.report(self.true_ns).clock
+            return metrics, abs(metrics.offset_ns - away_ns)
+        metrics = end.report(self.space_ns(self.true_ns)).clock
+        return metrics, abs(metrics.offset_ns + away_ns)
 
     def take(self, end, frame, now_ns):
         end.handle_radio(frame, now_ns)
@@ -406,8 +410,8 @@ def test_both_ends_find_the_offset_whatever_the_radio_delays(radio_ns):
     pair = Gateways(12 * S, 50e-6, radio_ns)
     pair.run(12)
     for end in (pair.ground, pair.space):
-        figures, wrong_ns = pair.clock_of(end)
-        assert wrong_ns <= figures.error_ns < 2 * NETWORK_NS
+        metrics, wrong_ns = pair.clock_of(end)
+        assert wrong_ns <= metrics.error_ns < 2 * NETWORK_NS
     ground, space = (pair.clock_of(end)[0] for end in (pair.ground, pair.space))
     # 20 at first, then one every two seconds.
     assert 20 < ground.messages_sent < 26
@@ -418,8 +422,8 @@ def test_a_radio_on_the_way_in_is_no_part_of_the_network():
     pair = Gateways(12 * S)
     pair.way_in = pair.space.radio_in = RadioPath(delay_ns=10 * MS)
     pair.run(6)
-    figures, wrong_ns = pair.clock_of(pair.space)
-    assert wrong_ns <= figures.error_ns < 2 * NETWORK_NS
+    metrics, wrong_ns = pair.clock_of(pair.space)
+    assert wrong_ns <= metrics.error_ns < 2 * NETWORK_NS
 
 
 def test_a_restarted_peer_is_measured_anew():
@@ -427,9 +431,9 @@ def test_a_restarted_peer_is_measured_anew():
     pair.run(3)
     pair.ground = pair.gateway(3)
     pair.run(3)
-    figures, wrong_ns = pair.clock_of(pair.space)
-    assert wrong_ns <= figures.error_ns < MS
-    assert figures.restarts == 0
+    metrics, wrong_ns = pair.clock_of(pair.space)
+    assert wrong_ns <= metrics.error_ns < MS
+    assert metrics.restarts == 0
 
 
 def test_ends_of_one_machine_send_no_clock_and_an_end_that_compares_none_drops_it():

@@ -1,6 +1,6 @@
 """Two gateways with a radio between them: what they deliver, and what they take for a signal.
 
-A stranger knows the format, the configuration and old frames, but does not read what the two ends
+An unknown sender knows the format, the configuration and old frames, but does not read what the two ends
 send now.
 """
 
@@ -39,7 +39,7 @@ TRAFFIC = ("samples", "tm", "voice", "video", "files")
 STRANGE = b"strange!!!!!"
 
 
-def make_gateway(side, life, radio=None, now_ns=0):
+def make_gateway(side, boot_id, radio=None, now_ns=0):
     ways = (UPLINK, DOWNLINK)
     transmit, receive = ways if side == "ground" else ways[::-1]
     return Gateway(
@@ -49,9 +49,9 @@ def make_gateway(side, life, radio=None, now_ns=0):
         receive_flows=FLOWS,
         radio=radio,
         master=side == "ground",
-        life=life,
+        boot_id=boot_id,
         now_ns=now_ns,
-        secret=life,
+        secret=boot_id,
     )
 
 
@@ -132,8 +132,8 @@ class Session:
 
     def restart(self, side):
         self.lives += 1
-        life = 0x7000 + self.lives
-        setattr(self.link, side, make_gateway(side, life, self.paths[side], self.link.now_ns))
+        boot_id = 0x7000 + self.lives
+        setattr(self.link, side, make_gateway(side, boot_id, self.paths[side], self.link.now_ns))
 
     def shut(self, *sides):
         """Close the paths of what these sides send, and open the others."""
@@ -313,9 +313,9 @@ def test_a_reset_of_the_applications_forgets_what_the_peer_sent_before():
         assert not any(end.receiver.context_ids())
 
 
-def frames_of_a_stranger(side, life, count):
+def frames_of_a_stranger(side, boot_id, count):
     """What a gateway that hears nobody sends to `side`, with samples and packets."""
-    gateway, frames = make_gateway(OTHER[side], life), []
+    gateway, frames = make_gateway(OTHER[side], boot_id), []
     for slot in range(count):
         gateway.handle_haptic(STRANGE, slot * MS)
         gateway.handle_datagram("tm", STRANGE, slot * MS)
@@ -372,16 +372,16 @@ KINDS = pytest.mark.parametrize(
 @pytest.mark.parametrize("seed", range(2))
 def test_strange_frames_in_a_live_pair_change_nothing(kind, seed):
     one = Session(seed=seed).run(300)
-    stranger = Stranger(one, kind, seed)
+    unknown = Stranger(one, kind, seed)
     before = one.reports()
-    one.run(3000, stranger)
-    assert stranger.injected > 60
+    one.run(3000, unknown)
+    assert unknown.injected > 60
     for side, was, report in zip(SIDES, before, one.reports(), strict=True):
         assert not one.lost(side, 300 * MS, 3200 * MS)
         assert report.receive.restarts == was.receive.restarts
         assert report.receive.frames_lost == report.supervision.counts["peer_restarts"] == 0
         assert report.supervision.state == "connected"
-        # What strangers make this end send stays below 5 % of its slots.
+        # What unknown senders make this end send stays below 5 % of its slots.
         assert report.supervision.counts["messages_sent"] <= 3000 // 20 + 50
 
 
@@ -394,19 +394,19 @@ def test_a_real_restart_takes_a_round_trip_more(side, strange):
     begun_ns, far = one.link.now_ns, OTHER[side]
     one.run(1000, Stranger(one, "stray frame") if strange else lambda slot: ())
     first = {each: one.came(each, "samples", since_ns=begun_ns)[0][0] for each in SIDES}
-    # The new life's first message, the answer, and at the peer the answer to that.
+    # The new start's first message, the answer, and at the peer the answer to that.
     assert (first[side] - begun_ns) // MS <= 2 * DELAY_MS + 15
     assert (first[far] - begun_ns) // MS <= 3 * DELAY_MS + 25
     for each in SIDES:
         # What waited for the former life was dropped.
         assert not one.lost(each, first[far] + 5 * MS, begun_ns + 900 * MS)
-        # The new life understands voice without waiting for the next context, a second later.
+        # The new start understands voice without waiting for the next context, a second later.
         since_ns = begun_ns + 120 * MS
         assert not one.lost(each, since_ns, begun_ns + 900 * MS, flows=("voice",))
 
 
 def test_a_peer_whose_delay_falls_is_followed_again_after_a_round_trip():
-    """Its frames come before their time, as those of a stranger that guesses counts would."""
+    """Its frames come before their time, as those of an unknown sender that guesses counts would."""
     one = Session(delay_ms=400).run(3000)
     one.shut(*SIDES)
     one.run(500)

@@ -21,20 +21,20 @@ def test_who_sends_a_good_frame_first_is_the_peer():
     assert path.handle_datagram(b"", OTHER, 1) is None
     assert path.handle_datagram(GOOD, PEER, 2) == GOOD
     assert path.seal(b"frame", 3) == (b"frame", PEER)
-    figures = path.report(4)
-    assert (figures.address, figures.session_ns, figures.unsent) == ("192.0.2.1:27000", 2, 1)
-    assert figures.dropped == {"stranger": 2}
-    assert not figures.protected
+    metrics = path.report(4)
+    assert (metrics.address, metrics.session_ns, metrics.unsent) == ("192.0.2.1:27000", 2, 1)
+    assert metrics.dropped == {"unknown sender": 2}
+    assert not metrics.protected
     # Another is followed only after a silence; a frame that the radio has hit is a sign of life.
     begun_ns = SILENCE_NS + 2
     assert path.handle_datagram(HIT, PEER, begun_ns) == HIT
     assert path.handle_datagram(GOOD, OTHER, begun_ns + SILENCE_NS - 1) is None
     assert path.handle_datagram(HIT, OTHER, begun_ns + SILENCE_NS) is None
     assert path.handle_datagram(GOOD, OTHER, begun_ns + SILENCE_NS) == GOOD
-    figures = path.report(begun_ns + SILENCE_NS)
-    assert (figures.address, figures.address_changes) == ("192.0.2.9:4000", 1)
-    assert figures.dropped == {"stranger": 4}
-    assert figures.events[-1].what == "peer moved to 192.0.2.9:4000"
+    metrics = path.report(begun_ns + SILENCE_NS)
+    assert (metrics.address, metrics.address_changes) == ("192.0.2.9:4000", 1)
+    assert metrics.dropped == {"unknown sender": 4}
+    assert metrics.events[-1].what == "peer moved to 192.0.2.9:4000"
 
 
 def test_a_given_address_is_never_left():
@@ -140,6 +140,6 @@ def test_a_session_outlives_a_radio_without_a_signal():
     assert 30 <= before.sent - frames[pair.space] <= 50
     pair.slots(100)
     for path in (pair.ground, pair.space):
-        figures = path.report(pair.now_ns)
-        assert (figures.sessions, figures.dropped) == (1, {})
+        metrics = path.report(pair.now_ns)
+        assert (metrics.sessions, metrics.dropped) == (1, {})
         assert pair.frames[path] == frames[path] + 100

@@ -64,12 +64,12 @@ def test_too_old_is_dropped_and_counted():
 
 def test_patience_applies_only_if_shorter_than_the_limit():
     packets = queue(DropPolicy.REJECT_NEWEST)
-    packets.set_patience(20 * MS)
+    packets.set_timeout(20 * MS)
     put(packets, b"old")
     put(packets, b"young", now_ns=10 * MS)
     assert taken(packets, 25 * MS) == [b"young"]
-    for patience_ns, came_ms, waits_ms in ((None, 30, 40), (1000 * MS, 100, 51)):
-        packets.set_patience(patience_ns)
+    for timeout_ns, came_ms, waits_ms in ((None, 30, 40), (1000 * MS, 100, 51)):
+        packets.set_timeout(timeout_ns)
         put(packets, b"patient", now_ns=came_ms * MS)
         left = taken(packets, (came_ms + waits_ms) * MS)
         assert left == ([b"patient"] if waits_ms <= 50 else [])

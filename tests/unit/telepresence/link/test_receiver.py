@@ -8,7 +8,7 @@ import pytest
 from telepresence.link.flows import Level, SupervisionReceived, packet_flow, rtcp_flow, video_flow
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
-from telepresence.link.receiver import LinkReceiver, StrangerFrame
+from telepresence.link.receiver import LinkReceiver, UnknownFrame
 from telepresence.link.sender import LinkSender
 
 MS = 1_000_000
@@ -45,8 +45,8 @@ def test_another_stream_is_followed_only_when_told():
         others = frames(52, first)[2:]
         now_ns = feed(receiver, others[:40], now_ns)
         assert (receiver.frames_received, sum(receiver.frames_dropped.values())) == (20, 40)
-        assert receiver.stranger == StrangerFrame(None, 40, 39 * MS)
-        receiver.follow_stranger(new_life=True)
+        assert receiver.unknown == UnknownFrame(None, 40, 39 * MS)
+        receiver.follow_unknown_sender(new_boot_id=True)
         # They were frames of the peer, though what they carried was dropped.
         assert (receiver.frames_received, receiver.restarts) == (60, 1)
         feed(receiver, others[40:], now_ns)
@@ -63,7 +63,7 @@ def test_the_frame_with_which_a_stream_is_followed_is_taken():
         assert not receiver.handle_frame(sender.poll_transmit(slot * MS), slot * MS)
         assert receiver.next_event() is None
     assert receiver.haptic_unapproved == receiver.packets.dropped["unapproved"] == 3
-    receiver.follow_stranger(new_life=True)
+    receiver.follow_unknown_sender(new_boot_id=True)
     assert [event[0] for event in receiver.events if not hasattr(event, "data")] == [b"\2" * 12]
     assert [event.data for event in receiver.events if hasattr(event, "data")] == [b"\2"]
     # Each frame, sample and packet is counted once.
@@ -132,7 +132,7 @@ def test_the_same_life_goes_on_at_another_count():
         receiver = LinkReceiver(UPLINK, FLOWS)
         now_ns = feed(receiver, frames(5, former))
         feed(receiver, frames(1, first), now_ns)
-        assert receiver.follow_stranger(new_life=False)
+        assert receiver.follow_unknown_sender(new_boot_id=False)
         feed(receiver, frames(5, first)[1:], now_ns + MS)
         assert (receiver.frames_received, receiver.restarts) == (10, 0)
         assert receiver.frames_lost == lost
@@ -154,14 +154,14 @@ def test_late_copies_of_the_same_life_are_not_followed():
     now_ns = feed(receiver, frames(5, 9_100))
     for first in (9_104, 9_000, 0):
         feed(receiver, frames(1, first), now_ns)
-        assert not receiver.follow_stranger(new_life=False)
+        assert not receiver.follow_unknown_sender(new_boot_id=False)
     assert (receiver.frames_received, sum(receiver.frames_dropped.values())) == (5, 3)
     assert feed(receiver, frames(5, 9_105), now_ns)
     assert (receiver.frames_received, receiver.frames_lost) == (10, 0)
     # After hours a lower count is one that has wrapped.
     now_ns += 3 * 3600 * 1000 * MS
     feed(receiver, frames(1, 9_000), now_ns)
-    assert receiver.follow_stranger(new_life=False)
+    assert receiver.follow_unknown_sender(new_boot_id=False)
     assert (receiver.frames_received, receiver.frames_lost) == (11, 0)
 
 
@@ -172,8 +172,8 @@ def test_an_answer_is_followed_beside_a_busy_stranger():
     now_ns = feed(receiver, frames(20, 5_000_000), now_ns)
     sender = LinkSender(UPLINK, FLOWS, first_count=9_000_000)
     assert not receiver.handle_frame(sender.poll_transmit(now_ns, b"supervision!"), now_ns)
-    assert receiver.stranger == StrangerFrame(b"supervision!", 0, 0)
-    receiver.follow_stranger(new_life=True)
+    assert receiver.unknown == UnknownFrame(b"supervision!", 0, 0)
+    receiver.follow_unknown_sender(new_boot_id=True)
     assert receiver.next_event() == SupervisionReceived(b"supervision!", now_ns)
     assert receiver.handle_frame(sender.poll_transmit(now_ns), now_ns + MS)
     assert (receiver.restarts, receiver.frames_received) == (1, 22)
@@ -197,7 +197,7 @@ def test_contexts_go_on_when_the_same_life_goes_on_at_another_count():
         if 2000 <= slot < 3010:
             continue  # held back on the way, and then lost: no time passes for the receiver
         if not receiver.handle_frame(frame, now_ns):
-            assert receiver.follow_stranger(new_life=False)
+            assert receiver.follow_unknown_sender(new_boot_id=False)
         sender.handle_acknowledgements(receiver.context_ids())
         came += [event.data for event in iter(receiver.next_event, None)]
         now_ns += MS
@@ -222,7 +222,7 @@ def test_without_approval_only_supervision_is_delivered():
         other.handle_haptic(bytes(12), 0)
         other.handle_packet("tmtc", b"telecommand", 0)
         receiver.handle_frame(other.poll_transmit(0), 2 + slot)
-    assert receiver.follow_stranger(new_life=True)
+    assert receiver.follow_unknown_sender(new_boot_id=True)
     assert receiver.next_event() is None
     assert receiver.haptic_unapproved == receiver.packets.dropped["unapproved"] == 2
     receiver.deliver = True

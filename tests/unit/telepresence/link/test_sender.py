@@ -45,10 +45,10 @@ class Line:
     came out was under way. What comes out must have been put in, in its order.
     """
 
-    def __init__(self, profile=UPLINK, flows=RAW, *, limits=None, patience_ns=None):
+    def __init__(self, profile=UPLINK, flows=RAW, *, limits=None, timeout_ns=None):
         self.sender = LinkSender(profile, flows, limits=limits)
         self.receiver = LinkReceiver(profile, flows)
-        self.sender.set_patience(patience_ns)
+        self.sender.set_timeout(timeout_ns)
         self.profile, self.slot, self.number = profile, 0, 0
         self.taken = {flow.name: 0 for flow in flows}
         self.ages = {flow.name: [] for flow in flows}
@@ -245,8 +245,8 @@ def test_no_packet_is_sent_beyond_its_age(flow, octets, most_ms, beside, patienc
     endless = QueueLimits(
         depth_octets=8_192, max_age_ns=10_000 * MS, policy=DropPolicy.REJECT_NEWEST
     )
-    patience_ns = None if patience_ms is None else patience_ms * MS
-    line = Line(limits={Level.TMTC: endless}, patience_ns=patience_ns).run(2_900, packets)
+    timeout_ns = None if patience_ms is None else patience_ms * MS
+    line = Line(limits={Level.TMTC: endless}, timeout_ns=timeout_ns).run(2_900, packets)
     assert max(line.ages[flow], default=0) <= most_ms
     queue = line.queues["voice" if flow == "voice" else "video"]
     reason = "expired" if patience_ms is None else "signal_lost"

@@ -9,7 +9,7 @@ from telepresence.link.flows import Level, packet_flow
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
-from telepresence.link.slots import FIGURES_NS, MOST_DATAGRAMS, GatewaySlots, WakeMargin
+from telepresence.link.slots import METRICS_NS, MOST_DATAGRAMS, GatewaySlots, WakeMargin
 
 MS = 1_000_000
 US = 1000
@@ -22,7 +22,7 @@ def make_slots(first_ns=0, delay_ns=0):
         receive=DOWNLINK,
         receive_flows=[packet_flow("command", Level.TMTC)],
         master=True,
-        life=1,
+        boot_id=1,
         now_ns=0,
         radio=RadioPath(delay_ns=delay_ns),
     )
@@ -125,23 +125,23 @@ def test_a_late_slot_delays_no_report():
 
 
 @pytest.mark.parametrize("heard", [True, False])
-def test_figures_wait_for_a_frame_while_the_peer_is_heard(heard):
+def test_metrics_wait_for_a_frame_while_the_peer_is_heard(heard):
     _, slots = make_slots()
     done = []
     for slot in range(500):
         now_ns = slot * MS
         slots.handle_slot([], now_ns)
-        if slots.poll_figures(now_ns, heard=False):
+        if slots.poll_metrics(now_ns, heard=False):
             done.append(now_ns)
-        if heard and slots.poll_figures(now_ns + 400 * US, heard=True):
+        if heard and slots.poll_metrics(now_ns + 400 * US, heard=True):
             done.append(now_ns + 400 * US)
     assert {at % MS for at in done} == ({400 * US} if heard else {0})
-    assert all(b - a >= FIGURES_NS for a, b in pairwise(done))
+    assert all(b - a >= METRICS_NS for a, b in pairwise(done))
     assert len(done) == (5 if heard else 2)
 
 
-def test_figures_are_not_collected_shortly_before_a_slot():
+def test_metrics_are_not_collected_shortly_before_a_slot():
     _, slots = make_slots()
     slots.handle_slot([], 0)
-    assert not slots.poll_figures(600 * US, heard=True)
-    assert slots.poll_figures(400 * US, heard=True)
+    assert not slots.poll_metrics(600 * US, heard=True)
+    assert slots.poll_metrics(400 * US, heard=True)

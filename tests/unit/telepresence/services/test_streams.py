@@ -149,7 +149,7 @@ def test_an_end_that_was_started_again_knows_no_stream_and_the_other_one_learns_
     pair.run(120, NS_PER_S)
     assert not pair.space.programs
     assert there.closed
-    # A new life of the opener closes the streams of the one before.
+    # A new start of the opener closes the streams of the one before.
     _, there = pair.opened()
     pair.ground.restart(pair.now_ns)
     pair.run(0.1)

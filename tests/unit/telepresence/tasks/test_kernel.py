@@ -9,7 +9,7 @@ from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks import kernel
 from telepresence.tasks.kernel import ChooseCamera, ElemopBegun, Record, ShowPicture, View
 from telepresence.tasks.panel_picture import DARK
-from telepresence.tasks.places import curve_points
+from telepresence.tasks.positions import curve_points
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import TaskResult
 

@@ -1,4 +1,4 @@
-"""Tasks in XML: the mission's own operations, and mistakes with line, name and mend."""
+"""Tasks in XML: the mission's own operations, and mistakes with line, name and fix."""
 
 import pytest
 

@@ -17,7 +17,7 @@ REACH = k2aci.TaskProgress(
     goal=k2aci.TaskGoal.REACH,
     step=2,
     steps=4,
-    place_um=(-45_000, 0),
+    position_um=(-45_000, 0),
     hold_ms=500,
     held_ms=1,
     left_ms=60_000,
@@ -47,8 +47,8 @@ def chat(text, sender=k2aci.ChatRole.SUPERVISOR):
     return k2aci.Chat(sender=sender, text=text)
 
 
-def end(life=1, **settings):
-    return k2aci.K2aciEndpoint(life=life, **settings)
+def end(boot_id=1, **settings):
+    return k2aci.K2aciEndpoint(boot_id=boot_id, **settings)
 
 
 def pass_on(sender, receiver, now_ns=0):
@@ -56,8 +56,8 @@ def pass_on(sender, receiver, now_ns=0):
         receiver.handle_message(octets, now_ns)
 
 
-def numbered(number, oldest=0, life=1):
-    return pack_body(Numbered(life, number, oldest, chat(str(number))))
+def numbered(number, oldest=0, boot_id=1):
+    return pack_body(Numbered(boot_id, number, oldest, chat(str(number))))
 
 
 def numbers(endpoint):
@@ -204,12 +204,12 @@ def test_what_comes_too_early_waits_for_what_the_sender_still_repeats():
 def test_each_message_handed_out_is_acknowledged_with_its_life():
     ground = end()
     for _ in range(2):
-        ground.handle_message(numbered(3, oldest=3, life=8), 0)
-    # A new life of the sender begins with its own oldest, and what it held before is gone.
-    for number, life in ((5, 8), (4, 9), (7, 8)):
-        ground.handle_message(numbered(number, oldest=4, life=life), 0)
+        ground.handle_message(numbered(3, oldest=3, boot_id=8), 0)
+    # A new start of the sender begins with its own oldest, and what it held before is gone.
+    for number, boot_id in ((5, 8), (4, 9), (7, 8)):
+        ground.handle_message(numbered(number, oldest=4, boot_id=boot_id), 0)
     assert bodies(ground) == [Acknowledgement(8, 3), Acknowledgement(8, 3), Acknowledgement(9, 4)]
-    assert [(one.life, one.number) for one in events(ground)] == [(8, 3), (9, 4)]
+    assert [(one.boot_id, one.number) for one in events(ground)] == [(8, 3), (9, 4)]
     assert ground.unexpected == 1
 
 
@@ -218,8 +218,8 @@ def test_an_acknowledgement_of_another_life_or_number_is_unexpected():
     space.send(START, 0)
     space.handle_message(pack_body(Acknowledgement(2, 0)), 0)  # it was not sent yet
     assert space.poll_transmit(0) is not None
-    for life, number in ((1, 0), (2, 1)):
-        space.handle_message(pack_body(Acknowledgement(life, number)), 0)
+    for boot_id, number in ((1, 0), (2, 1)):
+        space.handle_message(pack_body(Acknowledgement(boot_id, number)), 0)
     assert (space.unexpected, space.waiting) == (3, (0,))
     space.handle_message(pack_body(Acknowledgement(2, 0)), 9)
     assert events(space) == [Delivered(0, START, 9)]

@@ -39,7 +39,7 @@ def test_only_the_window_is_under_way_and_memory_is_bounded():
 
 
 def test_what_took_too_long_is_given_up_once_it_was_sent():
-    machine = Retransmission(timeout_ns=TIMEOUT, most=2, patience_ns=3 * TIMEOUT)
+    machine = Retransmission(timeout_ns=TIMEOUT, most=2, give_up_ns=3 * TIMEOUT)
     number = machine.handle_put("a", 0)
     assert machine.next_given_up(10 * TIMEOUT) is None
     machine.poll_transmit(0)

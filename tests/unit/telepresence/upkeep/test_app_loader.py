@@ -199,7 +199,7 @@ def test_the_copy_in_flash_is_tried_again_and_again():
     assert pauses == [1, 2, 4, 8, 16, 32, 60, 60]
 
 
-def life(seed):
+def boot_id(seed):
     """Faults and power cuts at any step of many boots, then a quiet one: whether all is well."""
     random = Random(seed)
     copies = list(Copy)
@@ -237,7 +237,7 @@ def life(seed):
 
 def test_whatever_fails_at_whatever_step_a_sound_copy_runs_in_the_end():
     seeds = range(first_seed(0), first_seed(0) + repeats(1000))
-    assert [seed for seed in seeds if not life(seed)] == []
+    assert [seed for seed in seeds if not boot_id(seed)] == []
 
 
 def copies_disk(random):
@@ -319,15 +319,15 @@ def test_the_cyclic_check_of_the_flash_finds_damage_within_a_round_and_a_sound_r
         for _ in range(number * 4):
             now_ns = check.poll_timeout()
             check.handle_time(now_ns)
-        return check.figures
+        return check.metrics
 
-    figures = after_rounds(2)
-    assert (figures.rounds, figures.files_checked, figures.errors) == (2, 6, 0)
-    assert figures.sound and now_ns == 70
+    metrics = after_rounds(2)
+    assert (metrics.rounds, metrics.files_checked, metrics.errors) == (2, 6, 0)
+    assert metrics.sound and now_ns == 70
     whole = disk.content["flash/a"]
     disk.content["flash/a"] = (b"damaged", False)
-    figures = after_rounds(1)
-    assert (figures.sound, figures.last_error) == (False, "a: damaged")
+    metrics = after_rounds(1)
+    assert (metrics.sound, metrics.last_error) == (False, "a: damaged")
     disk.content["flash/a"] = whole
     assert after_rounds(1).sound
     disk.remove(f"flash/{SFV}")

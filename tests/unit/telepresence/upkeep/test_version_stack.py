@@ -54,7 +54,7 @@ class Running:
         self.switch = VersionSwitch(record, 0, VersionLimits(**limits))
         self.events = list(iter(self.switch.next_event, None))
 
-    def tell(self, status, seconds):
+    def publish(self, status, seconds):
         for _ in range(seconds):
             self.switch.handle_status(status, self.now_ns)
             self.events += iter(self.switch.next_event, None)
@@ -88,10 +88,10 @@ def running():
 def test_a_new_version_is_executable_once_data_passes_and_defective_after_a_minute_without(running):
     # A loss of signal does not count.
     for _ in range(20):
-        running.tell(CONTACT, 2)
-        running.tell(NOTHING, 100)
+        running.publish(CONTACT, 2)
+        running.publish(NOTHING, 100)
     assert (running.current, running.state("v3"), running.events) == ("v3", NEW, [])
-    running.tell(CONTACT, 22)
+    running.publish(CONTACT, 22)
     assert running.state("v3") is DEFECTIVE
     stop, *stored, start = running.events
     assert (stop, start) == (StopVersion(), StartVersion("v2"))
@@ -99,9 +99,9 @@ def test_a_new_version_is_executable_once_data_passes_and_defective_after_a_minu
     # By order alone it is new again.
     running.switch.handle_order("v3", running.now_ns)
     assert (running.current, running.state("v3")) == ("v3", NEW)
-    running.tell(CONTACT, 59)
-    running.tell(PASSED, 1)
-    running.tell(CONTACT, 300)
+    running.publish(CONTACT, 59)
+    running.publish(PASSED, 1)
+    running.publish(CONTACT, 300)
     assert running.current == "v3"
     names = ("v3", "v2", "v1")
     assert running.switch.record.versions == tuple((name, EXECUTABLE) for name in names)
@@ -110,17 +110,17 @@ def test_a_new_version_is_executable_once_data_passes_and_defective_after_a_minu
 def test_executable_versions_that_the_peer_refuses_are_set_aside_down_to_the_elementary_one():
     running = Running(RECORD.ordered("v2"))
     # One without traffic stays.
-    running.tell(CONTACT, 5000)
+    running.publish(CONTACT, 5000)
     for current in ("v2", "v1", ELEMENTARY):
         assert running.current == current
-        running.tell(STUCK, 62)
+        running.publish(STUCK, 62)
     assert running.state("v1") is running.state("v2") is EXECUTABLE
-    running.tell(STUCK, 1000)
+    running.publish(STUCK, 1000)
     assert running.current == ELEMENTARY
     assert running.switch.record.tried == ("v2", "v1")
     # So is one that hears nothing for a day.
     running = Running(deaf_ns=100 * SECOND)
-    running.tell(NOTHING, 102)
+    running.publish(NOTHING, 102)
     assert (running.current, running.state("v3")) == ("v2", NEW)
 
 
@@ -175,14 +175,14 @@ def test_a_status_is_read_as_written_and_garbage_is_none():
 
 @pytest.mark.parametrize("state", LinkState)
 def test_a_gateway_is_stuck_while_the_ends_do_not_agree(state):
-    class Figures:
+    class Metrics:
         # A refused peer is heard, though it gives no signal.
         signal = state is not LinkState.REFUSED
 
-    Figures.state = state.name.lower()
+    Metrics.state = state.name.lower()
     agreed = state in (LinkState.APPROVE, LinkState.CONNECTED)
     passed = state is LinkState.CONNECTED
-    assert status_of(Figures) == VersionStatus(contact=True, passed=passed, stuck=not agreed)
+    assert status_of(Metrics) == VersionStatus(contact=True, passed=passed, stuck=not agreed)
 
 
 #: What two running versions see of each other: contact here, contact there, agreement, data.

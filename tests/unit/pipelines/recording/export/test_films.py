@@ -23,8 +23,8 @@ from pipelines.bench.course import marks
 from pipelines.cli import main
 from pipelines.recording.export.films import FilmClock, FilmUnits
 from pipelines.recording.joined import JoinedMessage
-from pipelines.recording.messages import VIDEO as PICTURES
-from pipelines.recording.messages import RecordedPicture, UnitFacts, pack
+from pipelines.recording.recorded_messages import VIDEO as PICTURES
+from pipelines.recording.recorded_messages import RecordedPicture, UnitMetadata, pack
 
 SECONDS = 3.0
 
@@ -103,18 +103,18 @@ class Channel:
     """Messages of a channel with facts."""
 
     def __init__(self):
-        self.units = FilmUnits(with_facts=True)
+        self.units = FilmUnits(with_metadata=True)
         self.shown = []
 
     def put(self, number, data, *, added=False, octets=None):
         value = RecordedPicture(wall_ns=wall_ns(number), frame_id="x", data=data)
         unit = CodedUnit(data=data[-(octets or 0) :], key=added, width=16, height=16)
-        facts = replace(UnitFacts.of(unit, CaptureStamp(number, number, "x")), added=added)
+        metadata = replace(UnitMetadata.of(unit, CaptureStamp(number, number, "x")), added=added)
         topic = "/x/sent"
         message = JoinedMessage(topic, PICTURES.full_name, number, 0, number, pack(value), 0)
-        facts_message = message._replace(topic=f"{topic}/facts", data=pack(facts))
+        facts_message = message._replace(topic=f"{topic}/facts", data=pack(metadata))
         self.shown += [unit.data for unit in self.units.handle_picture(message)]
-        self.shown += [unit.data for unit in self.units.handle_facts(facts_message)]
+        self.shown += [unit.data for unit in self.units.handle_capabilities(facts_message)]
 
 
 def test_where_parts_meet_the_stream_goes_on_and_instants_rise():

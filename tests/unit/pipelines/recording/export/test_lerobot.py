@@ -14,7 +14,7 @@ from pipelines.bench.course import marks
 from pipelines.cli import main
 from pipelines.recording.export.tables import Run, TaskRuns
 from pipelines.recording.joined import JoinedMessage
-from pipelines.recording.messages import SPACE_PACKET
+from pipelines.recording.recorded_messages import SPACE_PACKET
 from telepresence.tmtc.k2aci import Numbered, StartTask, TaskFinished, TaskResult, pack_body
 from telepresence.tmtc.pus.node import K2ACI_SERVICE, K2ACI_SUBTYPE
 from telepresence.tmtc.pus.packets import Telemetry, pack_packet

@@ -22,7 +22,7 @@ from pipelines.recording.channels import channels_of
 from pipelines.recording.export.columns import Columnizer, joined, table_names
 from pipelines.recording.export.tables import TableCollector, haptic_tables, rows_of_haptics
 from pipelines.recording.joined import JoinedMessage, JoinedRecording, read_part
-from pipelines.recording.messages import (
+from pipelines.recording.recorded_messages import (
     EVENT,
     HAPTIC_SAMPLES,
     LINK_SENT,

@@ -85,7 +85,7 @@ PLAIN = {
     "region_points": {"wrist": ((40, 30), (280, 33.5), (300, 210), (25, 205))},
     "rtc": RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000),
     "safety": SafetyLimits(resume_within_s=0.2, slow_m_s=0.05),
-    "inputs": ("wrist", "left", "right", "ground_mic", "iss_camera", "iss_mic"),
+    "inputs": ("wrist", "left", "right", "ground_mic", "operator_camera", "operator_mic"),
 }
 STREAMS = {
     "uplink_video": {"cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
@@ -117,7 +117,7 @@ def test_every_field_of_a_file_reaches_the_setup_and_without_a_name_it_takes_the
     assert setup.source("left") == "left.mp4"
     assert setup.source("right").startswith("scene:")
     assert (setup.uplink.frame_octets, setup.downlink.frame_octets) == (40, 250)
-    assert setup.stream_of("iss_camera") is setup.downlink_video
+    assert setup.stream_of("operator_camera") is setup.downlink_video
     assert setup.stream_of("wrist") is setup.uplink_video
     kinds = [setup.kind_of(name) for name in setup.inputs]
     assert kinds == ["video", "video", "video", "audio", "video", "audio"]

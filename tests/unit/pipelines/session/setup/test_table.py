@@ -7,7 +7,7 @@ from rtp_packets import make_sender
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
-from pipelines.media.stream_figures import REPORT_INTERVAL_NS
+from pipelines.media.stream_metrics import REPORT_INTERVAL_NS
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.setup.table import PORTS, Setup, VideoStream
@@ -54,8 +54,8 @@ def test_caps_packets_and_the_capacity_for_walls_are_those_of_the_specification(
     assert mediated.need(DOWN) == direct.need(DOWN)
     setup = own_setup(cameras=("a_mic",), sources={"a_mic": "clip.mp4"})
     assert setup.kind_of("a_mic") == "video"
-    with pytest.raises(ConfigError, match="no input iss_mic"):
-        setup.kind_of("iss_mic")
+    with pytest.raises(ConfigError, match="no input operator_mic"):
+        setup.kind_of("operator_mic")
 
 
 def pus_octets_per_s(end):
@@ -108,8 +108,8 @@ def own_setup(**changes):
     [
         ({"sources": {"heda": "x.mp4"}}, "no such input"),
         ({"base_port": 65_530}, "base port"),
-        ({"cameras": ("static", "iss_camera")}, "camera iss_camera .* rename it"),
-        ({"cameras": ("static", "iss_mic")}, "camera iss_mic .* rename it"),
+        ({"cameras": ("static", "operator_camera")}, "camera operator_camera .* rename it"),
+        ({"cameras": ("static", "operator_mic")}, "camera operator_mic .* rename it"),
         ({"cameras": ("static", "ground_mic")}, "camera ground_mic .* rename it"),
         ({"radio": "geo", "radio_delay_ms": 12.5}, "radio geo has .* take radio cable"),
         ({"radio": "storm"}, "unknown radio storm"),

@@ -39,7 +39,10 @@ def test_tables_fit_the_width_and_cut_nothing(width):
         ]
         assert [str(row.entry_port), str(row.exit_port)] == re.findall(r"\b\d{5}\b", line)
     words = " ".join(" ".join(topics_table(SESSION).lines(80)).split())
-    assert "camera_left, camera_right, camera_static, camera_head, ground_mic, iss_camera" in words
+    assert (
+        "camera_left, camera_right, camera_static, camera_head, ground_mic, operator_camera"
+        in words
+    )
 
 
 def test_the_graph_is_well_formed_and_every_arrow_points_at_what_takes():

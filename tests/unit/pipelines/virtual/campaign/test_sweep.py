@@ -2,7 +2,7 @@
 
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.campaign import sweep
-from pipelines.virtual.campaign.figures import RunFigures
+from pipelines.virtual.campaign.campaign_metrics import RunMetrics
 
 SWEEP = sweep.Sweep(
     name="mine",
@@ -20,17 +20,17 @@ SWEEP = sweep.Sweep(
 )
 
 
-def run_of(seed, **figures):
-    return RunFigures(key="", seed=seed, figures=figures)
+def run_of(seed, **metrics):
+    return RunMetrics(key="", seed=seed, metrics=metrics)
 
 
 def test_a_case_has_median_least_and_largest_of_its_seeds():
-    stuck = RunFigures(key="", seed=3, faults=("stuck",), figures={"force_p99_ms": 9.0})
+    stuck = RunMetrics(key="", seed=3, faults=("stuck",), metrics={"force_p99_ms": 9.0})
     runs = [run_of(1, force_p99_ms=2.0), run_of(2, force_p99_ms=3.0), stuck, None, None, None]
-    first, second = sweep.case_figures(SWEEP, runs)
-    assert first.figures["force_p99_ms"] == sweep.SeedSpread(median=3.0, least=2.0, largest=9.0)
+    first, second = sweep.case_metrics(SWEEP, runs)
+    assert first.metrics["force_p99_ms"] == sweep.SeedSpread(median=3.0, least=2.0, largest=9.0)
     assert (first.runs, first.usable, first.faults) == (3, 2, {"stuck": 1})
-    assert second.figures["force_p99_ms"] is None
+    assert second.metrics["force_p99_ms"] is None
     assert sweep.headings(SWEEP, [first, second]) == [*SWEEP.fields, "force p99 ms", "verdict"]
     assert list(sweep.rows(SWEEP, [first, second])) == [
         ["cable", "", "3 (2 to 9)", "2 of 3 usable, 1 stuck"],
@@ -41,7 +41,7 @@ def test_a_case_has_median_least_and_largest_of_its_seeds():
     assert of_runs[2][heading.index("force_p99_ms")] == 9.0
 
 
-def test_a_run_is_known_by_all_that_decides_its_figures():
+def test_a_run_is_known_by_all_that_decides_its_metrics():
     tasks = SWEEP.tasks()
     keys = {sweep.task_key(task, (), "code") for task in tasks}
     assert len(keys) == 6

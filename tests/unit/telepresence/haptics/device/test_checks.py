@@ -5,7 +5,7 @@ from joystick_scripts import MS, REST, STICK
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.checks import CHECKS, CheckBench
-from telepresence.haptics.device.simulated import FACTS, FAULTS, Faults, SimulatedDevice
+from telepresence.haptics.device.simulated import CAPABILITIES, FAULTS, Faults, SimulatedDevice
 
 
 def checked(names, faults=None, device=None, during=None):
@@ -22,18 +22,18 @@ def checked(names, faults=None, device=None, during=None):
     return {result.name: result for result in bench.results}
 
 
-def test_a_healthy_joystick_passes_all_checks_with_its_own_figures():
+def test_a_healthy_joystick_passes_all_checks_with_its_own_metrics():
     device = SimulatedDevice()
     results = checked(list(CHECKS), device=device)
     assert [name for name, result in results.items() if result.passed] == list(CHECKS)
-    figures = {
-        figure.name: figure.value for result in results.values() for figure in result.figures
+    metrics = {
+        figure.name: figure.value for result in results.values() for figure in result.metrics
     }
-    assert figures["Coulomb friction x"] == pytest.approx(FACTS.coulomb_n, rel=0.15)
-    assert figures["viscous friction y"] == pytest.approx(FACTS.viscous_n_s_m, rel=0.15)
-    assert figures["stiffness x"] == pytest.approx(200, rel=0.02)
+    assert metrics["Coulomb friction x"] == pytest.approx(CAPABILITIES.coulomb_n, rel=0.15)
+    assert metrics["viscous friction y"] == pytest.approx(CAPABILITIES.viscous_n_s_m, rel=0.15)
+    assert metrics["stiffness x"] == pytest.approx(200, rel=0.02)
     # A push of 4 N moves the handle slightly into its stops, never less far than to them.
-    assert 150 <= figures["right end"] < 152
+    assert 150 <= metrics["right end"] < 152
     assert abs(device.joystick.x_m) < 0.005 and abs(device.joystick.y_m) < 0.005
 
 
@@ -65,7 +65,7 @@ def test_an_unplugged_joystick_fails_all_remaining_checks():
 def test_a_device_that_never_becomes_ready_fails_each_check_after_forty_seconds():
     """Here nobody lets go of the stick, which would be calibrated again and again."""
     device = SimulatedDevice()
-    device.facts = STICK
+    device.capabilities = STICK
     device.read = lambda: REST._replace(x_m=0.05)
     bench = CheckBench(device, ["workspace", "buttons"])
     assert (bench.done, bench.current) == (False, "workspace")

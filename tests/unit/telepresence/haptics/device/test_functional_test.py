@@ -6,7 +6,7 @@ from joystick_scripts import STICK, Person, edge, play
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.device.functional_test import FORCE_N, Outcome, TestPart, functional_test
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.simulated import FACTS, FAULTS, Fingers, SimulatedDevice
+from telepresence.haptics.device.simulated import CAPABILITIES, FAULTS, Fingers, SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.sample import Feedback
@@ -57,7 +57,7 @@ def test_a_healthy_joystick_passes_and_leads_no_robot_meanwhile():
     session = Session()
     report = session.test()
     assert (report.outcome, report.reason, report.number) == (Outcome.PASSED, "", 1)
-    assert {figure.name for figure in report.figures} >= {
+    assert {figure.name for figure in report.metrics} >= {
         *("left end", "right end", "lower end", "upper end", "stiffness x", "stiffness y"),
         *("Coulomb friction x", "viscous friction y", "button 4 pressed and let go"),
     }
@@ -86,7 +86,7 @@ def test_each_part_fails_by_what_it_measures(fault, part, words):
     report = Session(FAULTS[fault]).test()
     assert (report.outcome, report.part) == (Outcome.FAILED, part)
     assert report.reason.startswith(words)
-    bad = next(figure for figure in report.figures if not figure.passed)
+    bad = next(figure for figure in report.metrics if not figure.passed)
     assert bad.name in report.reason
 
 
@@ -111,7 +111,7 @@ def pushing():
 
 @pytest.mark.rule("S4")
 def test_it_aborts_with_the_next_cycle_after_the_button_is_let_go(pushing):
-    pushing.device.fingers = Fingers(FACTS.leds)
+    pushing.device.fingers = Fingers(CAPABILITIES.leds)
     pushing.run(0.002)
     assert pushing.pushes[-1][:2] == (0.0, 0.0)
     report = pushing.operation.test
@@ -172,7 +172,7 @@ def test_a_stick_tests_itself_while_the_dead_man_button_is_held(ignores, outcome
 
 
 @pytest.mark.parametrize(("after_ms", "figures"), [(0, 0), (500, 4)])
-def test_a_dead_man_button_that_stays_pressed_fails_the_test(after_ms, figures):
+def test_a_dead_man_button_that_stays_pressed_fails_the_test(after_ms, metrics):
     person = Person()
     person.dead_man = after_ms == 0
 
@@ -185,4 +185,4 @@ def test_a_dead_man_button_that_stays_pressed_fails_the_test(after_ms, figures):
     report, wanted = play(functional_test(STICK), answer)
     assert (report.outcome, report.part) == (Outcome.FAILED, TestPart.DEAD_MAN)
     assert report.reason == "the dead-man button was not let go"
-    assert len(report.figures) == figures and len(wanted) >= 10_000
+    assert len(report.metrics) == metrics and len(wanted) >= 10_000

@@ -39,8 +39,8 @@ def test_the_device_reads_its_further_axes_from_the_kernel():
         device.write_more_forces([3.0, 1.0])
         device.advance(NS_PER_MS)
     z, gripper = device.read_more()
-    assert z.place == pytest.approx(0.1, abs=1e-4) and gripper.place == 0.0
-    check_axes("joystick evdev", device.facts.more, ("z", "gripper"))
+    assert z.position == pytest.approx(0.1, abs=1e-4) and gripper.position == 0.0
+    check_axes("joystick evdev", device.capabilities.more, ("z", "gripper"))
 
 
 def test_a_missing_controller_is_refused_in_one_line(tmp_path):

@@ -13,7 +13,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.operation import JoystickOperation, calibrate
-from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
+from telepresence.haptics.device.simulated import CAPABILITIES, FAULTS, SimulatedDevice
 from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.hand import Hand
@@ -72,16 +72,16 @@ def session():
 
 def test_it_enters_the_application_by_itself_and_finds_its_middle():
     session = Session(SimulatedDevice(hand=Hand(), start_m=(0.03, -0.04)))
-    states, places = [], set()
+    states, positions = [], set()
 
     def look():
         states.append(session.handle.state)
         if session.state < JoystickState.CALIBRATED:
-            places.add((session.handle.x_m, session.handle.y_m, session.handle.force_limit_n))
+            positions.add((session.handle.x_m, session.handle.y_m, session.handle.force_limit_n))
 
     session.run(4, each=look)
     assert sorted(set(states)) == [0, 1, 2, 3] and states == sorted(states)
-    assert places == {(0.0, 0.0, 0.0)}, "a position or a force without a calibration"
+    assert positions == {(0.0, 0.0, 0.0)}, "a position or a force without a calibration"
     handle, joystick = session.handle, session.motors
     assert hypot(handle.x_m - joystick.x_m, handle.y_m - joystick.y_m) < 0.001
     log = [entry.event for entry in handle.report().log]
@@ -112,7 +112,7 @@ def test_the_calibration_pushes_a_hand_with_at_most_five_newton():
 @pytest.mark.rule("S4")
 def test_releasing_the_dead_man_button_removes_the_force_which_returns_slowly(session):
     handle = session.handle
-    assert handle.force_limit_n == FACTS.force_limit_n
+    assert handle.force_limit_n == CAPABILITIES.force_limit_n
     session.device.show_state(HALTED)  # the hand lets go
     session.run(0.002, force=(3.0, 0.0))
     assert not handle.dead_man and handle.force_limit_n == 0.0
@@ -121,9 +121,9 @@ def test_releasing_the_dead_man_button_removes_the_force_which_returns_slowly(se
     session.device.show_state(APPLICATION)
     # The hand closes around the handle in 0.4 s, and then presses.
     session.run(0.6)
-    assert 0.0 < handle.force_limit_n < FACTS.force_limit_n / 2
+    assert 0.0 < handle.force_limit_n < CAPABILITIES.force_limit_n / 2
     session.run(0.3)
-    assert handle.force_limit_n == FACTS.force_limit_n
+    assert handle.force_limit_n == CAPABILITIES.force_limit_n
     assert session.operation.released == 1
 
 
@@ -160,7 +160,7 @@ def test_an_invalid_temperature_is_an_error_without_force(session, wrong_c):
     assert session.handle.force_limit_n == 0.0
     session.motors.temperature_c = 23.0
     assert session.run(6).state is APPLICATION
-    assert session.handle.force_limit_n == FACTS.force_limit_n
+    assert session.handle.force_limit_n == CAPABILITIES.force_limit_n
 
 
 def test_silence_halts_it_and_the_first_sample_brings_it_back():
@@ -314,7 +314,7 @@ def test_no_sensor_reading_lets_the_force_exceed_its_limit(script, calibrated):
         device.advance(NS_PER_MS)
         wanted = max(map(abs, written[-1]))
         if operation.state is APPLICATION:
-            assert wanted <= operation.force_limit_n <= FACTS.force_limit_n
+            assert wanted <= operation.force_limit_n <= CAPABILITIES.force_limit_n
             assert operation.reading.dead_man or wanted == 0.0
         elif operation.state is not STANDBY:
             assert wanted == 0.0
@@ -397,9 +397,9 @@ def test_a_stick_is_calibrated_where_it_rests():
         (lambda ms: -0.0041 * (ms % 2), 1, True),
     ],
 )
-def test_a_stick_that_is_held_is_not_calibrated(place, axis, problem):
+def test_a_stick_that_is_held_is_not_calibrated(position, axis, problem):
     found, _ = play(
-        calibrate(STICK), lambda ms, _: REST._replace(**{("x_m", "y_m")[axis]: place(ms)})
+        calibrate(STICK), lambda ms, _: REST._replace(**{("x_m", "y_m")[axis]: position(ms)})
     )
     assert ("does not rest at its middle" in found.problem) is problem
 
@@ -416,12 +416,12 @@ def test_a_calibration_finds_the_middle_between_the_stops_and_refuses_a_wrong_wi
 
         return answer
 
-    facts = replace(FACTS, half_width_m=0.01, half_height_m=0.02)
-    found, _ = play(calibrate(facts), handle(-0.004, 0.016, -0.03, 0.01))
+    capabilities = replace(CAPABILITIES, half_width_m=0.01, half_height_m=0.02)
+    found, _ = play(calibrate(capabilities), handle(-0.004, 0.016, -0.03, 0.01))
     assert found == (pytest.approx(0.006), pytest.approx(-0.01), 0.01, 0.02, "")
-    found, _ = play(calibrate(facts), handle(-0.004, 0.0145, -0.03, 0.01))
+    found, _ = play(calibrate(capabilities), handle(-0.004, 0.0145, -0.03, 0.01))
     assert found.problem == "" and found.half_width_m == pytest.approx(0.00925)
-    found, _ = play(calibrate(facts), handle(-0.004, 0.0142, -0.03, 0.01))
+    found, _ = play(calibrate(capabilities), handle(-0.004, 0.0142, -0.03, 0.01))
     assert "axis x moves by ±9 mm where ±10 mm are due" in found.problem
-    found, _ = play(calibrate(facts), handle(-0.004, 0.016, -0.03, 0.0135))
+    found, _ = play(calibrate(capabilities), handle(-0.004, 0.016, -0.03, 0.0135))
     assert "axis y moves by ±22 mm where ±20 mm are due" in found.problem

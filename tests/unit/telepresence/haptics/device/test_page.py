@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.page import FACTS, PageDevice, PageHandModel, PageInput
+from telepresence.haptics.device.page import CAPABILITIES, PageDevice, PageHandModel, PageInput
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.joystick_controller import JoystickControllerModel
 from telepresence.haptics.sample import Feedback
@@ -29,7 +29,7 @@ class Seat:
         self.most_speed = self.most_acceleration = 0.0
 
     @property
-    def place(self):
+    def position(self):
         return self.handle.x_m, self.handle.y_m
 
     def send(self, x, y, *, dead_man=True):
@@ -67,9 +67,9 @@ def seat():
     return deepcopy(READY)
 
 
-def pointing(seat, *places):
+def pointing(seat, *positions):
     """The page points at each place for a while (s)."""
-    for x, y, seconds in places:
+    for x, y, seconds in positions:
         seat.wanted = (x, y)
         seat.run(seconds)
     return seat
@@ -79,8 +79,8 @@ def pointing(seat, *places):
 def test_it_goes_where_the_page_points_at_any_rate_of_events(seat, period_ms):
     seat.period_ms = period_ms
     pointing(seat, (0.0, 0.0, 0.1), (0.6, -0.5, 1.5))
-    assert seat.place[0] == pytest.approx(0.6 * FACTS.half_width_m, abs=0.002)
-    assert seat.place[1] == pytest.approx(-0.5 * FACTS.half_height_m, abs=0.002)
+    assert seat.position[0] == pytest.approx(0.6 * CAPABILITIES.half_width_m, abs=0.002)
+    assert seat.position[1] == pytest.approx(-0.5 * CAPABILITIES.half_height_m, abs=0.002)
     # A jump of the pointer is no jump of the handle, which the controller's bound relies on.
     assert seat.most_acceleration < JoystickControllerModel().acceleration_m_s2 / 2
     assert seat.most_speed < 1.5 * MODEL.speed_m_s
@@ -98,26 +98,28 @@ def test_steps_of_a_slow_pointer_are_smoothed(seat):
 
 
 def test_the_hand_begins_where_the_handle_is_and_ends_with_the_workspace(seat):
-    before = seat.place
+    before = seat.position
     pointing(seat, (1.0, -0.9, 0.5))
     assert seat.handle.dead_man
-    assert seat.place == pytest.approx(before, abs=1e-6)
+    assert seat.position == pytest.approx(before, abs=1e-6)
     pointing(seat, (0.8, -0.9, 1.0))
-    assert seat.place[0] - before[0] == pytest.approx(-0.2 * FACTS.half_width_m, abs=0.002)
-    assert seat.place[1] == pytest.approx(before[1], abs=1e-4)
+    assert seat.position[0] - before[0] == pytest.approx(
+        -0.2 * CAPABILITIES.half_width_m, abs=0.002
+    )
+    assert seat.position[1] == pytest.approx(before[1], abs=1e-4)
     # The wanted place ends with the workspace.
     seat = pointing(deepcopy(READY), (-1.0, 0.0, 0.1), (1.0, 0.0, 2.0))
-    assert seat.place[0] == pytest.approx(FACTS.half_width_m, abs=0.002)
+    assert seat.position[0] == pytest.approx(CAPABILITIES.half_width_m, abs=0.002)
 
 
 def test_a_force_displaces_the_handle_against_the_muscles(seat):
     pointing(seat, (0.0, 0.0, 0.5))
-    free_m = seat.place[0]
+    free_m = seat.position[0]
     seat.run(1.5, force=(-5.0, 0.0))
-    assert seat.place[0] - free_m == pytest.approx(-5.0 / MODEL.muscles.stiffness_n_m, abs=0.001)
+    assert seat.position[0] - free_m == pytest.approx(-5.0 / MODEL.muscles.stiffness_n_m, abs=0.001)
     # Beyond what the muscles can hold, the motors win.
     seat.run(1.5, force=(-10.0, 0.0))
-    assert seat.place[0] < -0.14
+    assert seat.position[0] < -0.14
 
 
 @pytest.mark.rule("S4")
@@ -143,18 +145,18 @@ def test_a_released_handle_is_braked_and_stays_without_force(seat, way):
     assert seat.handle.force_limit_n == 0.0
     seat.run(0.001, force=(2.0, 0.0))
     assert joystick.motor_x_n == 0.0
-    place = seat.place
+    position = seat.position
     seat.run(2.0, force=(2.0, 0.0))
     # From 0.8 m/s; without the brake it would go on to the stop, 5 cm away.
-    assert hypot(seat.place[0] - place[0], seat.place[1] - place[1]) < 0.01
+    assert hypot(seat.position[0] - position[0], seat.position[1] - position[1]) < 0.01
     assert joystick.vx_m_s == pytest.approx(0.0, abs=1e-6)
     # The next hand takes it where it is.
-    place = seat.place
+    position = seat.position
     if way != "halt":
         seat.send(0.0, 0.0, dead_man=False)
         pointing(seat, (-1.0, -1.0, 0.5))
         assert seat.handle.dead_man
-        assert seat.place == pytest.approx(place, abs=1e-6)
+        assert seat.position == pytest.approx(position, abs=1e-6)
 
 
 def test_inputs_that_arrive_late_hold_the_handle_only_for_the_rest_of_their_time(seat):
@@ -237,19 +239,19 @@ def test_no_input_moves_the_handle_without_the_dead_man_button(script):
     for hand, age_ns, cycles in script:
         seat.device.handle_input(hand, age_ns)
         for _ in range(cycles):
-            place, speed = (joystick.x_m, joystick.y_m), hypot(joystick.vx_m_s, joystick.vy_m_s)
+            position, speed = (joystick.x_m, joystick.y_m), hypot(joystick.vx_m_s, joystick.vy_m_s)
             may_move = seat.device.held
             seat.run(0.001, force=(1.0, -1.0))
             assert seat.handle.dead_man <= may_move
             if not may_move and abs(joystick.motor_x_n) + abs(joystick.motor_y_n) == 0.0:
                 assert hypot(joystick.vx_m_s, joystick.vy_m_s) <= speed
             if nobody:
-                assert hypot(joystick.x_m - place[0], joystick.y_m - place[1]) <= 1e-9
+                assert hypot(joystick.x_m - position[0], joystick.y_m - position[1]) <= 1e-9
         assert hypot(joystick.x_m, joystick.y_m) < 1.0 and seat.handle.buttons < 16
     seat.run(0.3)
-    place = seat.place
+    position = seat.position
     seat.run(0.3, force=(1.0, 1.0))
-    assert not seat.handle.dead_man and seat.place == pytest.approx(place, abs=1e-5)
+    assert not seat.handle.dead_man and seat.position == pytest.approx(position, abs=1e-5)
 
 
 def test_a_press_at_the_page_holds_the_axes_where_they_are():
@@ -259,9 +261,9 @@ def test_a_press_at_the_page_holds_the_axes_where_they_are():
         device.handle_input(PageInput(True, 0.0, 0.0, 0, number, device._now_ns, more=(share,)))
         for _ in range(60 if number == 2 else 20):
             device.advance(NS_PER_MS)
-        place = device.read_more()[0].place
+        position = device.read_more()[0].position
         # The page's first word means where the axis is, whatever it says.
-        assert abs(place) < 1e-4 if number < 3 else place > 1e-4
+        assert abs(position) < 1e-4 if number < 3 else position > 1e-4
 
 
 #: Of a session with a robot. Self-test and calibration take 3.1 s.

@@ -32,7 +32,7 @@ def test_a_travel_leads_along_its_way_and_then_overcomes_friction_slowly():
     assert forces[333] == pytest.approx(300.0 * 0.05, rel=0.01)
     assert {round(one.y_n - one.x_n, 6) for one in wanted[340:]} == {3.0}
     assert wanted[2999].x_n - wanted[1999].x_n == pytest.approx(10.0)
-    _, wanted = play(begun(travel, -0.03, -0.04, force_n=8.0, patience_ns=1000 * MS), stuck)
+    _, wanted = play(begun(travel, -0.03, -0.04, force_n=8.0, timeout_ns=1000 * MS), stuck)
     assert max(sizes(wanted)) == pytest.approx(8.0)
     assert len(wanted) == 1000 and wanted[999].x_n < -4.0 and wanted[999].y_n < -4.0
 
@@ -51,7 +51,7 @@ def test_a_travel_ends_at_rest_near_its_goal(reading, there):
     def answer(ms, output):
         return REST if ms < 100 else JoystickReading(*reading)
 
-    (cycle, found), wanted = play(begun(travel, 0.05, 0.03, patience_ns=500 * MS), answer)
+    (cycle, found), wanted = play(begun(travel, 0.05, 0.03, timeout_ns=500 * MS), answer)
     # Rest is 40 ms long.
     assert (found, len(wanted)) == ((True, 139) if there else (False, 500))
     assert cycle.reading[:4] == reading
@@ -59,7 +59,7 @@ def test_a_travel_ends_at_rest_near_its_goal(reading, there):
 
 def test_the_spring_of_a_travel_is_damped():
     moving = JoystickReading(0.0, 0.0, 0.05, -0.1)
-    _, wanted = play(begun(travel, 0.0, 0.0, patience_ns=10 * MS), lambda *_: moving)
+    _, wanted = play(begun(travel, 0.0, 0.0, timeout_ns=10 * MS), lambda *_: moving)
     assert wanted[5][:2] == pytest.approx((-1.0, 2.0))
 
 
@@ -103,7 +103,7 @@ def test_an_aborted_script_has_no_result():
         (None, None, 1.0, False),
     ],
 )
-def test_a_figure_passes_within_its_limits_and_a_check_with_all_figures(value, least, most, passed):
+def test_a_figure_passes_within_its_limits_and_a_check_with_all_metrics(value, least, most, passed):
     figure, good = Figure("one", value, "N", least, most), Figure("two", 1.0)
     assert figure.passed is passed
     result = CheckResult("check", (good, figure))

@@ -4,7 +4,7 @@ import pytest
 
 from telepresence.haptics.axes import AxisReading
 from telepresence.haptics.device.device import KEEPS_FORCE_NS
-from telepresence.haptics.device.simulated import FACTS, FAULTS, SimulatedDevice
+from telepresence.haptics.device.simulated import CAPABILITIES, FAULTS, SimulatedDevice
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.specs import open_device
@@ -110,18 +110,18 @@ def test_a_hand_takes_the_handle_in_the_application_only():
 @pytest.mark.parametrize("axes", [("z",), ("z", "yaw", "gripper")])
 def test_more_axes_are_measured_in_their_own_units_and_moved_by_the_hand(axes):
     device = SimulatedDevice(hand=Hand(), axes=axes)
-    assert [facts.name for facts in device.facts.more] == list(axes)
-    assert FACTS.more == ()
+    assert [capabilities.name for capabilities in device.capabilities.more] == list(axes)
+    assert CAPABILITIES.more == ()
     assert device.read_more() == [AxisReading(0.0, 0.0)] * len(axes)
     device.show_state(JoystickState.APPLICATION)
     most = [0.0] * len(axes)
     for ms in range(6400):
         device.advance(MS)
-        for index, (reading, facts) in enumerate(
-            zip(device.read_more(), device.facts.more, strict=True)
+        for index, (reading, capabilities) in enumerate(
+            zip(device.read_more(), device.capabilities.more, strict=True)
         ):
-            most[index] = max(most[index], abs(reading.place) / facts.half_range)
-            assert ms > 398 or reading.place == 0.0
+            most[index] = max(most[index], abs(reading.position) / capabilities.half_range)
+            assert ms > 398 or reading.position == 0.0
     # It is led over 0.8 of its range within 6 s.
     assert all(0.6 < share < 0.9 for share in most)
     # A hand that let go brakes it.
@@ -138,6 +138,6 @@ def test_a_force_on_an_axis_moves_it_and_no_other():
         device.write_force(0.0, 0.0)
         device.advance(MS)
     z, yaw = device.read_more()
-    assert z[:2] == (0.0, 0.0) and yaw.place > 0.0 and yaw.speed > 0.0
+    assert z[:2] == (0.0, 0.0) and yaw.position > 0.0 and yaw.speed > 0.0
     with pytest.raises(ValueError, match="zip"):
         device.write_more_forces([1.0])

@@ -27,10 +27,10 @@ def test_full_travel_maps_to_the_workspace_and_the_flat_middle_to_zero():
     stick = Stick("pad", AXES, KEYS)
     assert settled(stick)[:2] == (0.0, 0.0)
     # The kernel's y axis points down.
-    for x, y, place in ((255, -32768, (0.1, 0.08)), (140, 0, (0.0, 0.0))):
+    for x, y, position in ((255, -32768, (0.1, 0.08)), (140, 0, (0.0, 0.0))):
         stick.handle_event(3, 0, x)
         stick.handle_event(3, 1, y)
-        assert settled(stick)[:2] == pytest.approx(place, abs=1e-6)
+        assert settled(stick)[:2] == pytest.approx(position, abs=1e-6)
 
 
 @given(st.lists(st.tuples(st.integers(0, 255), st.integers(1, 120)), min_size=1, max_size=12))
@@ -62,7 +62,7 @@ def test_the_dead_man_button_is_the_left_shoulder_or_the_trigger_or_the_first_bu
         assert not stick.reading().dead_man
         stick.handle_event(1, code, 1)
         assert stick.reading().dead_man and stick.reading().buttons == 0
-    assert (pad.facts.buttons, joystick.facts.buttons) == (4, 1)
+    assert (pad.capabilities.buttons, joystick.capabilities.buttons) == (4, 1)
     bare = Stick("bare", AXES, frozenset({0x130, 0x131}))
     assert not bare.reading().dead_man
     bare.handle_event(1, 0x131, 1)
@@ -92,13 +92,13 @@ def controller(kind, more=AXIS_NAMES):
 
 
 def names_of(stick):
-    return tuple(facts.name for facts in stick.facts.more)
+    return tuple(capabilities.name for capabilities in stick.capabilities.more)
 
 
-def places(stick, milliseconds=500):
+def positions(stick, milliseconds=500):
     for _ in range(milliseconds):
         stick.advance(NS_PER_MS)
-    return dict(zip(names_of(stick), [one.place for one in stick.more_readings()], strict=True))
+    return dict(zip(names_of(stick), [one.position for one in stick.more_readings()], strict=True))
 
 
 @pytest.mark.parametrize("kind", CONTROLLERS)
@@ -113,31 +113,31 @@ def test_the_right_stick_leads_places_and_hat_and_triggers_lead_on():
     # The kernel counts down as positive.
     for code, value in ((4, -32768), (3, 32767), (0x10, 1), (0x11, -1), (5, 255)):
         pad.handle_event(3, code, value)
-    reached = places(pad)
+    reached = positions(pad)
     assert (reached["z"], reached["yaw"]) == pytest.approx((0.1, 1.0), abs=1e-4)
     # Nothing is led on without the dead-man button.
     assert (reached["roll"], reached["pitch"], reached["gripper"]) == (0.0, 0.0, 0.0)
     pad.handle_event(1, 0x136, 1)
-    reached = places(pad)
+    reached = positions(pad)
     assert (reached["roll"], reached["pitch"]) == pytest.approx((0.5, 0.5), abs=0.05)
     assert reached["gripper"] == pytest.approx(0.02, abs=0.002)
     for code in (4, 3, 0x10, 0x11, 5):
         pad.handle_event(3, code, 0)
-    released = places(pad)
+    released = positions(pad)
     assert (released["z"], released["yaw"]) == pytest.approx((0.0, 0.0), abs=1e-3)
     assert released["roll"] == pytest.approx(reached["roll"], abs=0.05)
     pad.handle_event(3, 2, 255)
-    assert places(pad, 3000)["gripper"] == pytest.approx(-0.04, abs=1e-4)
+    assert positions(pad, 3000)["gripper"] == pytest.approx(-0.04, abs=1e-4)
 
 
 def test_triggers_that_are_buttons_close_and_open_the_gripper():
     pad = controller("small pad")
     pad.handle_event(1, 0x136, 1)
     pad.handle_event(1, 0x139, 1)
-    assert places(pad)["gripper"] > 0.015
+    assert positions(pad)["gripper"] > 0.015
     pad.handle_event(1, 0x139, 0)
     pad.handle_event(1, 0x138, 1)
-    assert places(pad, 3000)["gripper"] == pytest.approx(-0.04, abs=1e-4)
+    assert positions(pad, 3000)["gripper"] == pytest.approx(-0.04, abs=1e-4)
 
 
 RANGES = st.builds(Axis, *[st.integers(-(2**15), 2**15)] * 3, st.integers(-10, 300))
@@ -150,14 +150,14 @@ RANGES = st.builds(Axis, *[st.integers(-(2**15), 2**15)] * 3, st.integers(-10, 3
 )
 def test_whatever_a_controller_has_no_axis_leaves_its_limits(axes, keys, events):
     stick = Stick("any", STICKS | axes, keys, more=AXIS_NAMES)
-    limits = [MoreAxis(facts) for facts in stick.facts.more]
+    limits = [MoreAxis(capabilities) for capabilities in stick.capabilities.more]
     for (kind, code, value), cycles in events:
         stick.handle_event(kind, code, value)
         for _ in range(cycles):
             stick.advance(NS_PER_MS)
             for axis, reading in zip(limits, stick.more_readings(), strict=True):
                 assert axis.take(reading) == ""
-                assert abs(reading.speed) <= axis.facts.speed * 1.001
+                assert abs(reading.speed) <= axis.capabilities.speed * 1.001
         reading = stick.reading()
         assert abs(reading.x_m) < 0.1005 and abs(reading.y_m) < 0.0805
         assert 0 <= reading.buttons < 16

@@ -5,7 +5,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS as MS
 from kontur_av.returned import PartError
-from telepresence.haptics.device.device import JoystickFacts, JoystickReading
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.user import UserJoystick
@@ -14,7 +14,7 @@ from telepresence.haptics.device.user import UserJoystick
 class Stick:
     """A joystick without motors. `fails`: the call that raises."""
 
-    facts = JoystickFacts(name="stick", half_width_m=0.1, half_height_m=0.1)
+    capabilities = JoystickCapabilities(name="stick", half_width_m=0.1, half_height_m=0.1)
     fails = ""
     reading = JoystickReading(0.0, 0.0, 0.0, 0.0)
 
@@ -63,6 +63,6 @@ def test_its_own_words_its_numbers_and_its_silence_about_the_dead_man_are_taken(
 
 def test_facts_that_cannot_be_are_refused():
     stick = Stick()
-    stick.facts = {"name": "stick"}
-    with pytest.raises(PartError, match="facts returned a dict: give JoystickFacts"):
+    stick.capabilities = {"name": "stick"}
+    with pytest.raises(PartError, match="facts returned a dict: give JoystickCapabilities"):
         UserJoystick(stick)

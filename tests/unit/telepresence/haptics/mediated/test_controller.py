@@ -14,10 +14,10 @@ MS = 1_000_000
 WALL = Wall(0.0, 0.06, 1500.0)
 
 
-def steps(renderer, places, *, felt=True):
-    """Forces along x at `places`, one a millisecond; the largest change must be within bounds."""
+def steps(renderer, positions, *, felt=True):
+    """Forces along x at `positions`, one a millisecond; the largest change must be within bounds."""
     forces = []
-    for x_m in places:
+    for x_m in positions:
         before = renderer.force_n[0]
         forces.append(-renderer.step(x_m, 0.0, MS, felt=felt)[0])
         assert abs(-forces[-1] - before) <= 1.0 + 1e-9

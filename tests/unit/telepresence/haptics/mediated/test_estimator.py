@@ -148,7 +148,7 @@ def test_a_start_of_either_end_is_told_five_times_because_messages_are_lost():
     for _ in range(2):
         told = told_at(estimator, range(end, end + 1500))
         assert [ms - end for ms in told] == [0, 100, 200, 300, 400, 900, 1400]
-        estimator.tell_again()
+        estimator.publish_again()
         end += 1500
 
 

@@ -1,4 +1,4 @@
-"""Two protected channels on virtual time: what the path and strangers do costs no genuine frame."""
+"""Two protected channels on virtual time: what the path and unknown senders do costs no genuine frame."""
 
 from itertools import pairwise
 
@@ -38,8 +38,8 @@ CALLED = pytest.mark.parametrize("space_called", [False, True], ids=["both know"
 
 
 def assert_counted_once(end):
-    figures = end.channel.figures
-    counted = figures.opened + figures.handshake_datagrams + sum(figures.dropped.values())
+    metrics = end.channel.metrics
+    counted = metrics.opened + metrics.handshake_datagrams + sum(metrics.dropped.values())
     assert counted == end.received
 
 
@@ -183,7 +183,7 @@ def test_an_end_with_another_key_gets_no_answer_and_disturbs_nothing():
     pair = connected()
     wrong = ProtectedEnd(STRANGER_KEY, GROUND_KEY.identity, STRANGER, GROUND_ADDRESS)
     wrong.start(pair.now_ns)
-    pair.strangers.append(wrong)
+    pair.unknown_senders.append(wrong)
     pair.run(10)
     knocks = sum(end is wrong for end, _ in pair.recorded)
     assert wrong.received == 0 and knocks > 5
@@ -203,7 +203,7 @@ def test_who_knows_both_identities_but_no_key_begins_no_session(name, establishe
     impostor = ProtectedEnd(STRANGER_KEY, victim.key.identity, STRANGER, victim.address)
     impostor.start(pair.now_ns)
     pretend(impostor.channel, true_end.key, victim.key)
-    pair.strangers.append(impostor)
+    pair.unknown_senders.append(impostor)
     before = len(victim.of(SessionBegun))
     pair.run(12)
     assert len(victim.of(SessionBegun)) == before
@@ -316,15 +316,15 @@ def test_a_silent_peer_is_asked_for_new_keys_after_two_seconds_unless_it_returns
 )
 def test_what_is_no_datagram_of_the_peer_is_dropped_by_its_reason(datagram, reason):
     pair = connected()
-    before = pair.ground.channel.figures.handshake_datagrams
+    before = pair.ground.channel.metrics.handshake_datagrams
     assert pair.ground.channel.handle_datagram(datagram, GROUND_ADDRESS, pair.now_ns) is None
     assert pair.ground.dropped == {reason: 1}
-    assert pair.ground.channel.figures.handshake_datagrams == before
+    assert pair.ground.channel.metrics.handshake_datagrams == before
     # A record under the right keys that is not genuine is another matter.
     sealed = pair.space.channel.seal(b"0", pair.now_ns)
     forged = sealed[:-1] + bytes([sealed[-1] ^ 1])
     pair.ground.channel.handle_datagram(forged, SPACE_ADDRESS, pair.now_ns)
-    assert pair.ground.channel.figures.dropped["unauthenticated"] == 1 + (
+    assert pair.ground.channel.metrics.dropped["unauthenticated"] == 1 + (
         reason == "unauthenticated"
     )
 
@@ -333,11 +333,11 @@ def test_frames_before_a_session_are_counted_as_unsent():
     pair = ProtectedPair().start()
     while not pair.ground.of(SessionBegun):
         pair.step()
-    figures = pair.ground.channel.figures
-    assert pair.ground.channel.protected and figures.sessions == 1 and figures.unsent > 3
+    metrics = pair.ground.channel.metrics
+    assert pair.ground.channel.protected and metrics.sessions == 1 and metrics.unsent > 3
     pair.run(1)
-    assert figures.unsent + figures.sealed == pair.ground.frames_sent
-    assert figures.sealed == len(pair.ground.sealed)
+    assert metrics.unsent + metrics.sealed == pair.ground.frames_sent
+    assert metrics.sealed == len(pair.ground.sealed)
 
 
 def begun_at(pair, seconds):
@@ -368,8 +368,8 @@ def test_keys_that_are_used_up_seal_no_more_and_new_ones_are_agreed(monkeypatch)
     monkeypatch.setattr(datagrams, "MOST_RECORDS", 300)
     pair.run(300 * pair.slot_ns / S + 0.1)
     assert len(pair.ground.sealed) == 300 and not pair.ground.channel.protected
-    figures = pair.ground.channel.figures
-    assert figures.sealed == 300 and figures.unsent + 300 == pair.ground.frames_sent
+    metrics = pair.ground.channel.metrics
+    assert metrics.sealed == 300 and metrics.unsent + 300 == pair.ground.frames_sent
     pair.blocks = lambda end, datagram: False
     pair.run(3)
     # It is a new session, not a renewed one: nothing could be sent in between.

@@ -46,7 +46,7 @@ def test_an_attempt_that_is_not_answered_is_given_up_after_20_seconds():
                 failed.append(end)
                 assert end.of(HandshakeFailed)[0].why == "the peer answers no more"
                 assert 20_000 <= pair.now_ns // MS <= 20_400
-                assert end.channel.figures.failed_attempts == 1
+                assert end.channel.metrics.failed_attempts == 1
     assert failed
     pair.blocks = lambda end, datagram: False
     pair.run(4)
@@ -69,7 +69,7 @@ def test_only_the_first_of_equal_knocks_begins_an_attempt_and_a_stranger_to_the_
     assert one.poll_transmit() is None and one.poll_timeout() is None
     nonce = answers[0][0][1:9]
     assert {datagram[9:17] for datagram, _ in answers} == {b"space123"}
-    # A segment without a wish and without data begins nothing.
+    # A segment without a request and without data begins nothing.
     assert told(knock=False, receiver=nonce) == "stale"
     for number in range(5):
         assert told(knock=True, sender=b"space%03d" % number, receiver=nonce) is None

@@ -45,7 +45,7 @@ def test_two_exchanged_or_one_wrong_character_are_noticed():
 
 
 @pytest.mark.parametrize(
-    ("text", "mend"),
+    ("text", "fix"),
     [
         ("", "copy the line"),
         ("ABCDE", "5 characters instead of 35"),
@@ -54,8 +54,8 @@ def test_two_exchanged_or_one_wrong_character_are_noticed():
         ("Ä" * 35, "A to Z"),
     ],
 )
-def test_what_is_no_identity_is_refused_with_the_mend(text, mend):
-    with pytest.raises(ConfigError, match=mend):
+def test_what_is_no_identity_is_refused_with_the_mend(text, fix):
+    with pytest.raises(ConfigError, match=fix):
         MachineIdentity.parse(text)
 
 

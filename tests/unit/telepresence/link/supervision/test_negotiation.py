@@ -17,7 +17,9 @@ TIMING = SupervisionTiming()
 
 def negotiation(*, master=True):
     configuration = GROUND if master else SPACE
-    return Negotiation(master=master, configuration=configuration, life=9, timing=TIMING, now_ns=0)
+    return Negotiation(
+        master=master, configuration=configuration, boot_id=9, timing=TIMING, now_ns=0
+    )
 
 
 def from_peer(of, **changes):
@@ -49,7 +51,7 @@ def test_a_peers_supervision_is_dead_after_silence_since_its_last_message():
     # 5 s of silence, and a round trip.
     assert one.timeout(25 * S) is None and one.peer is not None and one.hears
     assert one.timeout(25 * S + 1) == "silence"
-    assert (one.peer, one.hears, one.peer_life, one.checked) == (None, False, 5, True)
+    assert (one.peer, one.hears, one.peer_boot_id, one.checked) == (None, False, 5, True)
     assert one.timeout(26 * S) is None
 
 
@@ -107,7 +109,7 @@ def test_a_wrong_message_counts_from_its_repetition_on():
     assert one.handle_message(good, 2) is MessageVerdict.FITS
     assert one.handle_message(wrong, 3) is MessageVerdict.SUSPECT
     assert one.handle_message(wrong, 4) is MessageVerdict.REFUSED
-    assert (one.peer, one.peer_life, one.checked, one.agreed) == (None, 0, False, False)
+    assert (one.peer, one.peer_boot_id, one.checked, one.agreed) == (None, 0, False, False)
     assert one.obstacle()[0] is LinkState.REFUSED and "configuration differs" in one.refusal
     # Rates say more than "differs", and what is known is kept.
     rates = from_peer(one, kind=MessageKind.REJECT, digest=one.digest ^ 1, rates_kbps=(4000, 300))
@@ -116,7 +118,7 @@ def test_a_wrong_message_counts_from_its_repetition_on():
     one.handle_message(wrong, 6)
     assert "300 there" in one.refusal
     assert one.handle_message(good, 7) is MessageVerdict.MET and one.refusal is None
-    other = from_peer(one, life=6)
+    other = from_peer(one, boot_id=6)
     assert one.handle_message(other, 8) is MessageVerdict.SUSPECT
     assert one.handle_message(other, 9) is MessageVerdict.DOUBTED
     assert one.handle_message(b"", 10) is MessageVerdict.MALFORMED
@@ -133,19 +135,19 @@ def test_a_stranger_is_refused_only_while_the_peer_is_silent():
     one.handle_message(from_peer(one), 0)
     wrong = from_peer(one, digest=one.digest ^ 1)
     for _ in range(3):
-        assert one.handle_stranger(wrong, alone=False) is MessageVerdict.SUSPECT
+        assert one.handle_unknown_sender(wrong, alone=False) is MessageVerdict.SUSPECT
     assert one.refusal is None
-    assert one.handle_stranger(wrong, alone=True) is MessageVerdict.SUSPECT
-    assert one.handle_stranger(wrong, alone=True) is MessageVerdict.REFUSED
+    assert one.handle_unknown_sender(wrong, alone=True) is MessageVerdict.SUSPECT
+    assert one.handle_unknown_sender(wrong, alone=True) is MessageVerdict.REFUSED
     assert one.refusal is not None and one.peer is not None
-    good = from_peer(one, life=77)
-    assert one.handle_stranger(good, alone=False).life == 77 and one.refusal is not None
-    assert one.handle_stranger(good, alone=True).life == 77 and one.refusal is None
-    assert one.handle_stranger(bytes(12), alone=True) is MessageVerdict.MALFORMED
+    good = from_peer(one, boot_id=77)
+    assert one.handle_unknown_sender(good, alone=False).boot_id == 77 and one.refusal is not None
+    assert one.handle_unknown_sender(good, alone=True).boot_id == 77 and one.refusal is None
+    assert one.handle_unknown_sender(bytes(12), alone=True) is MessageVerdict.MALFORMED
     # A known life is met again without anything being forgotten.
     one.agreed = True
     assert not one.meet(5) and one.agreed and one.peer is not None
-    assert one.meet(77) and not one.agreed and one.peer is None and one.peer_life == 77
+    assert one.meet(77) and not one.agreed and one.peer is None and one.peer_boot_id == 77
     one.handle_message(good, 5 * S)
     one.handle_contact(6 * S)
     assert (one.peer, one.message_ns, one.hears) == (None, 6 * S, False)

@@ -1,4 +1,4 @@
-"""How two ends find each other, what they send, and what losses, restarts and strangers change."""
+"""How two ends find each other, what they send, and what losses, restarts and unknown senders change."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -30,13 +30,13 @@ from telepresence.link.supervision.record import (
 from telepresence.link.supervision.supervisor import ApplicationWatch, Encounter, Supervisor
 
 
-def figures(pair, end):
+def metrics(pair, end):
     return end.supervisor.report(pair.slot * MS)
 
 
 def assert_counted(pair, end):
     """The counts of an end are those of its events, since it was started."""
-    report = figures(pair, end)
+    report = metrics(pair, end)
     counts = dict(report.counts)
     causes = [event.why for event in end.of(StateChanged)]
     assert counts.pop("messages_sent") == len(end.sent)
@@ -123,7 +123,7 @@ def test_a_new_life_of_either_side(who, delay_slots):
     assert pair.states == CONNECTED
     (met,) = other.of(PeerMet)
     assert met[1:] == (0x7777, True)
-    restarts = [figures(pair, end).counts["peer_restarts"] for end in (one, other)]
+    restarts = [metrics(pair, end).counts["peer_restarts"] for end in (one, other)]
     assert restarts == [0, 1]
     # Contexts of the former life are never acknowledged to the new one.
     assert {event.ids for event in one.of(ContextsHeld)} == {(0, 0, 0, 0)}
@@ -135,15 +135,15 @@ def test_another_life_in_the_peers_stream_must_prove_itself():
     pair = connected()
     pair.run(1 * S)
     supervisor, other = pair.ground.supervisor, pair.space.supervisor
-    stranger = Supervisor(
-        master=False, configuration=other.configuration, life=0x5555, now_ns=0, secret=1
+    unknown = Supervisor(
+        master=False, configuration=other.configuration, boot_id=0x5555, now_ns=0, secret=1
     )
-    stranger.handle_local_check(None, 0)
+    unknown.handle_local_check(None, 0)
     now_ns = pair.slot * MS
-    supervisor.handle_message(stranger.poll_transmit(0), now_ns)
+    supervisor.handle_message(unknown.poll_transmit(0), now_ns)
     pair.drain(pair.ground)
     assert pair.ground.followed == 0x2222
-    supervisor.handle_message(stranger.poll_transmit(20 * MS), now_ns)
+    supervisor.handle_message(unknown.poll_transmit(20 * MS), now_ns)
     pair.drain(pair.ground)
     assert (pair.ground.followed, supervisor.signal) == (None, False)
     assert len(pair.ground.of(PeerDoubted)) == len(pair.ground.of(SignalLost)) == 1
@@ -190,13 +190,13 @@ def test_when_a_stranger_that_hears_nobody_is_followed(
         pair.run(200)
         now_ns = pair.ground.supervisor._frame_ns + silent_ms * MS
         pair.ground.supervisor.poll_transmit(now_ns)
-    stranger = Supervisor(master=False, configuration=SPACE, life=0x5555, now_ns=now_ns, secret=1)
-    stranger.handle_local_check(None, now_ns)
+    unknown = Supervisor(master=False, configuration=SPACE, boot_id=0x5555, now_ns=now_ns, secret=1)
+    unknown.handle_local_check(None, now_ns)
     if hears:
-        stranger.handle_frame(now_ns)
-    message = stranger.poll_transmit(now_ns)
+        unknown.handle_frame(now_ns)
+    message = unknown.poll_transmit(now_ns)
     supervisor = pair.ground.supervisor
-    found = supervisor.handle_stranger(message, now_ns, frames=frames, lasts_ns=lasts_ms * MS)
+    found = supervisor.handle_unknown_sender(message, now_ns, frames=frames, lasts_ns=lasts_ms * MS)
     assert found is (Encounter.RESTART if followed else Encounter.IGNORE)
 
 
@@ -207,7 +207,7 @@ def test_a_stranger_beside_a_live_peer_is_asked_ten_times_a_second():
     supervisor, asked = pair.ground.supervisor, []
     for slot in range(2000):
         lasts_ns = (slot + 1) * MS if slot < 1000 else 4 * MS
-        supervisor.handle_stranger(None, pair.slot * MS, frames=slot + 1, lasts_ns=lasts_ns)
+        supervisor.handle_unknown_sender(None, pair.slot * MS, frames=slot + 1, lasts_ns=lasts_ns)
         sent = len(pair.ground.sent)
         pair.step()
         for at, message in pair.ground.sent[sent:]:
@@ -240,12 +240,12 @@ def test_blackout_both_ways(blackout, delay_slots):
     assert pair.states == CONNECTED or delay_slots > 12
     for end in pair.ends:
         # A loss is noticed at the receiver, up to a delay after it began.
-        lost, again = figures(pair, end).contacts
+        lost, again = metrics(pair, end).contacts
         assert again.acquired_ns - back_ns <= MS
         assert again.acquired_ns - lost.lost_ns == (blackout + 1) * MS
-        assert figures(pair, end).longest_gap_ns >= blackout * MS
+        assert metrics(pair, end).longest_gap_ns >= blackout * MS
         if blackout > 50 + delay_slots:
-            # The very first frame is delivered, because this life was checked before.
+            # The very first frame is delivered, because this start was checked before.
             assert end.delivered[0][0] == again.acquired_ns
     pair.run(1 * S)
     assert pair.states == CONNECTED and counts_of(pair, PeerMet) == [1, 1]
@@ -380,8 +380,8 @@ def test_a_broken_application_link_is_reset_where_nothing_comes_out():
     pair = connected()
 
     # The ground's data is lost between the receiver and the applications in space.
-    def arrive(end, life, message, data, now_ns):
-        Pair.arrive(pair, end, life, message, None if end is pair.space else data, now_ns)
+    def arrive(end, boot_id, message, data, now_ns):
+        Pair.arrive(pair, end, boot_id, message, None if end is pair.space else data, now_ns)
 
     pair.arrive = arrive
     pair.run(20 * S)
@@ -462,8 +462,8 @@ class Near:
 
     def __init__(self):
         options = {"now_ns": 0, "secret": 5}
-        self.supervisor = Supervisor(master=True, configuration=GROUND, life=1, **options)
-        far = Supervisor(master=False, configuration=SPACE, life=2, **options)
+        self.supervisor = Supervisor(master=True, configuration=GROUND, boot_id=1, **options)
+        far = Supervisor(master=False, configuration=SPACE, boot_id=2, **options)
         for end in (self.supervisor, far):
             end.handle_local_check(None, 0)
         self.template = parse_message(far.poll_transmit(0))
@@ -473,7 +473,7 @@ class Near:
         while found is Encounter.IGNORE and frames < 100:
             self.run(1)
             frames += 1
-            found = self.supervisor.handle_stranger(
+            found = self.supervisor.handle_unknown_sender(
                 self.hello(), self.now_ns, frames=frames, lasts_ns=self.now_ns
             )
         assert 1 < frames < 100
@@ -536,13 +536,13 @@ def test_messages_are_counted_at_both_ends_and_garbled_ones_as_such():
     for end, other in (pair.ends, pair.ends[::-1]):
         assert_counted(pair, end)
         on_the_way = sum(message is not None for _, _, message, _ in pair.paths[other.name])
-        counts = figures(pair, end).counts
+        counts = metrics(pair, end).counts
         assert counts["messages_received"] == len(other.sent) - on_the_way
         assert counts["messages_malformed"] == counts["messages_mismatched"] == 0
         for _ in range(3):
             end.supervisor.handle_message(bytes(12), pair.slot * MS)
-        end.supervisor.handle_stranger(bytes(12), pair.slot * MS, frames=1, lasts_ns=0)
-        assert figures(pair, end).counts == {**counts, "messages_malformed": 4}
+        end.supervisor.handle_unknown_sender(bytes(12), pair.slot * MS, frames=1, lasts_ns=0)
+        assert metrics(pair, end).counts == {**counts, "messages_malformed": 4}
 
 
 TIMING = SupervisionTiming()

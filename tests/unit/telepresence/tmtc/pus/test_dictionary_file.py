@@ -10,7 +10,7 @@ from telepresence.tmtc.pus.dictionary_file import (
     load_dictionary,
 )
 
-LIT, DOOR, TARGET, HEAT = "parameter lit", "parameter door", "parameter target", "monitor heat"
+LIT, PLUGINS, TARGET, HEAT = "parameter lit", "parameter door", "parameter target", "monitor heat"
 LIGHT, COOLED, OFF, RULE = "structure light", "event cooled", "function off", "action 0"
 MANY = ["depth"] * 58 + ["lit"] * 2
 
@@ -48,8 +48,8 @@ def table_at(table, where):
         (LIT, {"type": "text"}, "size is 0: choose 1 to 64"),
         (LIT, {"size": 1}, "size is 1: only a text has one"),
         (LIT, {"choices": ["a"]}, "choices need each other"),
-        (DOOR, {"choices": []}, "choices need each other"),
-        (DOOR, {"choices": list(map(str, range(257)))}, "the type choice and 1 to 256 choices"),
+        (PLUGINS, {"choices": []}, "choices need each other"),
+        (PLUGINS, {"choices": list(map(str, range(257)))}, "the type choice and 1 to 256 choices"),
         (TARGET, {"scale": 0}, "integers may have one above 0"),
         (TARGET, {"low": 251}, "oven.parameter.target.low is 251.0: it must not be above high"),
         ("parameter temperature", {"scale": 2}, "scale is 2.0: integers may"),
@@ -95,7 +95,7 @@ def test_what_is_on_a_limit_is_taken():
     table = oven_table()
     oven = table["oven"]
     table_at(oven, HEAT).update(low=220.0, below="cooled", repeat=255)
-    table_at(oven, DOOR)["choices"] = list(map(str, range(256)))
+    table_at(oven, PLUGINS)["choices"] = list(map(str, range(256)))
     table_at(oven, TARGET).update(low=250)
     table_at(oven, LIGHT).update(parameters=MANY, interval_s=0.1)
     table_at(oven, COOLED)["arguments"] = MANY

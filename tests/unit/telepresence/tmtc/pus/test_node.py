@@ -15,9 +15,9 @@ from telepresence.tmtc.pus.user import Alive, CommandResult, EventReport, PusUse
 TALK = Chat(sender=ChatRole.OPERATOR, text="hello")
 
 
-def talk(life=1, apid=0x141, **settings):
+def talk(boot_id=1, apid=0x141, **settings):
     """K2ACI between the applications 0x141 and 0x142."""
-    return K2aciLink(K2aciEndpoint(life=life, **settings), apid=apid, peer=0x283 - apid)
+    return K2aciLink(K2aciEndpoint(boot_id=boot_id, **settings), apid=apid, peer=0x283 - apid)
 
 
 def make(**settings):
@@ -40,7 +40,7 @@ def exchange(node, other, now_ns=0):
 
 
 def test_k2aci_goes_from_one_application_to_its_peer():
-    one, other = (make(k2aci=talk(life, 0x140 + life), epoch_ns=9 * S) for life in (1, 2))
+    one, other = (make(k2aci=talk(boot_id, 0x140 + boot_id), epoch_ns=9 * S) for boot_id in (1, 2))
     for _ in range(2):
         one.k2aci.endpoint.send(TALK, 0)
     told = exchange(one, other, S)

@@ -170,11 +170,11 @@ def test_what_is_not_verified_is_repeated_and_given_up_after_30_s(stage, reason)
 
 
 def test_patience_is_at_least_the_timeout_and_below_a_minute():
-    for timeout_ns, patience_ns in ((1, 60 * S - 1), (5, 5)):
-        make_user(timeout_ns=timeout_ns, patience_ns=patience_ns)
-    for timeout_ns, patience_ns in ((0, S), (6, 5), (1, 60 * S)):
+    for timeout_ns, give_up_ns in ((1, 60 * S - 1), (5, 5)):
+        make_user(timeout_ns=timeout_ns, give_up_ns=give_up_ns)
+    for timeout_ns, give_up_ns in ((0, S), (6, 5), (1, 60 * S)):
         with pytest.raises(ConfigError, match="patience below 60 s"):
-            make_user(timeout_ns=timeout_ns, patience_ns=patience_ns)
+            make_user(timeout_ns=timeout_ns, give_up_ns=give_up_ns)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_a_number_out_of_range_is_cut_to_it(bits, scale):
 
 
 @pytest.mark.parametrize(
-    ("parameter", "values", "mend"),
+    ("parameter", "values", "fix"),
     [
         (one("choice", choices=CELLS), ["c"], "choose one of a, b"),
         (one("bool"), [1], "give true or false"),
@@ -69,9 +69,9 @@ def test_a_number_out_of_range_is_cut_to_it(bits, scale):
         (LISTED, ["b"], "choose one of ab, abc"),
     ],
 )
-def test_an_unfit_value_is_refused_with_what_fits(parameter, values, mend):
+def test_an_unfit_value_is_refused_with_what_fits(parameter, values, fix):
     for value in values:
-        with pytest.raises(ConfigError, match=mend):
+        with pytest.raises(ConfigError, match=fix):
             parameter.pack(value)
 
 

@@ -1,0 +1,289 @@
+"""What processes report: figures of every process and of several rooms, and rows of single events.
+
+A record of figures is told by `Probe.publish`, and held by the report. A process that was started
+again counts from 0; `kontur_av.metrics` says how its starts are joined.
+
+A row is an event, such as a packet; its instants are in ns. A row's type names its series, so two
+series with the same columns have a type each.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
+
+import msgspec
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeMetrics:
+    """The way of the figures themselves."""
+
+    #: Values dropped because the launcher did not keep up.
+    probe_values_dropped: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopMetrics:
+    """A periodic loop."""
+
+    #: Cycles left out.
+    slips: int = 0
+    #: Cycles done.
+    cycles: int = 0
+
+
+#: A loop that leaves out more of its cycles than this is off nominal.
+LEFT_OUT_SHARE = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DatedEvent:
+    """Something that happened."""
+
+    #: On the session's clock.
+    at_ns: int
+    #: In words.
+    what: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainerMetrics:
+    """What a trainer did."""
+
+    #: Oldest first; the newest 200.
+    exercises: tuple[DatedEvent, ...] = ()
+
+
+class Event(msgspec.Struct, frozen=True, kw_only=True):
+    """One event.
+
+    number: from 1 on. at_us: on the session's clock. what: `link`, `process`, `camera`, `stale`,
+    `joystick`, `input`, `session`, `upkeep` or `milestone`.
+    """
+
+    number: int
+    at_us: int
+    what: str
+    text: str
+
+
+class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
+    """What the recorder gets: events that it was not told yet, and figures at times.
+
+    at_us: on the session's clock. metrics: all, by name, as pages get them.
+    """
+
+    at_us: int
+    events: list[Event]
+    metrics: dict[str, int | float | str | bool | None] = {}
+
+
+class MonitoredSession(msgspec.Struct, frozen=True, kw_only=True):
+    """What a monitoring system gets.
+
+    report: JSON of the session's report so far. problems: what is wrong now, a line each.
+    """
+
+    report: msgspec.Raw
+    problems: list[str]
+
+
+class ProcessState(msgspec.Struct, frozen=True, kw_only=True):
+    """What the launcher tells the supervisors of an end's processes, one of each.
+
+    state: `running`, `stopped` by a telecommand, `down` until it is started again, or `absent`.
+    restarts: after ends that nobody asked for. age_ms: of its newest figures; 0 if it does not run.
+    """
+
+    name: str
+    state: Literal["absent", "running", "stopped", "down"]
+    restarts: int = 0
+    cpu_s: float = 0.0
+    age_ms: float = 0.0
+    loop: LoopMetrics = LoopMetrics()
+
+
+def gathered(kind: type[T], /, *sources: object, **given: Any) -> T:
+    """Return a record of `given`, and of what the sources have under its other fields' names."""
+    names: Iterable[str] = getattr(kind, "__struct_fields__", None) or kind.__dataclass_fields__  # type: ignore[attr-defined]
+    found = {name: getattr(one, name) for one in sources for name in names if hasattr(one, name)}
+    return kind(**found | given)
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What all parts of a report have in common."""
+
+
+def nested_values(values: object, name: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested tables, by their keys joined by dots."""
+    if isinstance(values, Mapping):
+        for key, below in values.items():
+            yield from nested_values(below, f"{name}.{key}" if name else key)
+    else:
+        yield name, values
+
+
+class OutRow(NamedTuple):
+    """A packet left its sender; the cap that held then."""
+
+    sent_ns: int
+    octets: int
+    cap_bps: int
+
+
+class TxRow(NamedTuple):
+    """An access unit or a block of sound was sent."""
+
+    timestamp: int
+    capture_ns: int
+    encoded_ns: int
+    sent_ns: int
+
+
+class CodingRow(NamedTuple):
+    """A picture came to the encoder, and was encoded."""
+
+    timestamp: int
+    came_ns: int
+    begun_ns: int
+    octets: int
+    packets: int
+
+
+class RxRow(NamedTuple):
+    """The last packet of a unit was received."""
+
+    timestamp: int
+    received_ns: int
+
+
+class DecodedRow(NamedTuple):
+    """A picture was decoded."""
+
+    timestamp: int
+    decoded_ns: int
+
+
+class ShownRow(NamedTuple):
+    """A picture or a block of sound came to its display."""
+
+    timestamp: int
+    capture_ns: int
+    displayed_ns: int
+
+
+class SampleSentRow(NamedTuple):
+    """A haptic sample was sent."""
+
+    sequence: int
+    sent_ns: int
+
+
+class SampleReceivedRow(NamedTuple):
+    """A haptic sample was received."""
+
+    sequence: int
+    received_ns: int
+
+
+class LatenessRow(NamedTuple):
+    """How late a cycle began."""
+
+    lateness_ns: int
+
+
+class SendingRow(NamedTuple):
+    """From a slot's deadline to the instant at which its frame had been sent."""
+
+    duration_ns: int
+
+
+class ContactRow(NamedTuple):
+    """The stylus touched something; -1 for no LED."""
+
+    instant_ns: int
+    led: int
+
+
+class LightRow(NamedTuple):
+    """A light was found. slack_ns: how much earlier it may have been captured."""
+
+    instant_ns: int
+    capture_ns: int
+    slack_ns: int
+    strength: int
+
+
+class ClickRow(NamedTuple):
+    """A click was found. slack_ns: how much earlier it may have been captured."""
+
+    instant_ns: int
+    capture_ns: int
+    slack_ns: int
+    strength: int
+
+
+class StepRow(NamedTuple):
+    """The force stepped at the operator's hand."""
+
+    instant_ns: int
+
+
+class ClockRow(NamedTuple):
+    """Where the other machine's clock was, both as wall time at their start (`ClockMetrics`)."""
+
+    instant_ns: int
+    offset_ns: int
+    error_ns: int
+
+
+#: Any of them.
+Row = (
+    OutRow
+    | TxRow
+    | CodingRow
+    | RxRow
+    | DecodedRow
+    | ShownRow
+    | SampleSentRow
+    | SampleReceivedRow
+    | LatenessRow
+    | SendingRow
+    | ContactRow
+    | LightRow
+    | ClickRow
+    | StepRow
+    | ClockRow
+)
+
+_INSTANTS = {
+    *("sent_ns", "capture_ns", "encoded_ns", "came_ns", "begun_ns", "received_ns", "decoded_ns"),
+    *("displayed_ns", "instant_ns"),
+}
+#: The columns that are instants of the clock of the process that tells the row.
+INSTANTS: dict[type[Row], tuple[str, ...]] = {
+    kind: tuple(column for column in kind._fields if column in _INSTANTS) for kind in get_args(Row)
+}
+
+
+class SampleNumbers:
+    """Counts the samples of topics that were gone before they were read."""
+
+    def __init__(self) -> None:
+        #: By topic: the number of its newest sample.
+        self._newest: dict[str, int] = {}
+
+    def __contains__(self, topic: str) -> bool:
+        return topic in self._newest
+
+    def forget(self, topic: str) -> None:
+        self._newest.pop(topic, None)
+
+    def handle_sample(self, topic: str, sequence: int) -> int:
+        """Return how many samples are missing ahead of this one."""
+        before = self._newest.get(topic)
+        self._newest[topic] = sequence
+        # A smaller number is that of a writer that was started again.
+        return 0 if before is None else max(0, sequence - before - 1)
