@@ -22,7 +22,6 @@ from pipelines.media.stream_metrics import (
 )
 from pipelines.session.probe import Probe
 from pipelines.session.setup.table import Setup, VideoStream
-from telepresence.link.gateway import Backlog
 from telepresence.world import WorldState
 
 #: How long to sleep at least while a switch keeps the sender from encoding.

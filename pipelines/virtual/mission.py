@@ -27,7 +27,7 @@ from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import LinkMeanwhile
 from pipelines.session.topology import FILES, TELECOMMAND, TELEMETRY, maintenance_stream
-from pipelines.virtual.media import Consumer
+from pipelines.virtual.streams import Consumer
 from pipelines.virtual.workers import Scene, Timer
 from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, RENAME

@@ -32,7 +32,8 @@ from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
-from pipelines.virtual.media import Consumer, Media
+from pipelines.virtual.media import Media
+from pipelines.virtual.streams import Consumer
 from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc
 from pipelines.virtual.workers import FAR_NS, Agenda, Scene, Telling, Timer, Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick

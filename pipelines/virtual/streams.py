@@ -206,7 +206,7 @@ class Display:
         self._shown.append((now_ns, stream, stamp, notice))
 
     def settle(self, until_ns: int) -> None:
-        """All that is shown by `until_ns` is known. Mark what is stale, each time at its instant."""
+        """All shown by `until_ns` is known. Mark what is stale, each time at its instant."""
         showing, shown = self._showing, self._shown
         shown.sort(key=itemgetter(0))
         known = bisect_right(shown, until_ns, key=itemgetter(0))

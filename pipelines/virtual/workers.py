@@ -101,8 +101,7 @@ class Telling:
         return list(self._probes)
 
     def probe(self, process: str) -> Probe:
-        probe = self._probes[process] = Probe()
-        return probe
+        return self._probes.setdefault(process, Probe())
 
     def flush(self, now_ns: int) -> None:
         for fill in self._fills:
