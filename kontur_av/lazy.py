@@ -14,18 +14,18 @@ def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list
     """
     loader: Any = sys.modules[package].__loader__
     home_of = {
-        one.name: str(found.module)
+        name.asname or name.name: (str(found.module), name.name)
         for block in ast.parse(loader.get_source(package)).body
         if isinstance(block, ast.If)
         for found in block.body
         if isinstance(found, ast.ImportFrom)
-        for one in found.names
+        for name in found.names
     }
 
     def find(name: str) -> object:
         if name not in home_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value: object = getattr(import_module(home_of[name]), name)
+        value: object = getattr(import_module(home_of[name][0]), home_of[name][1])
         setattr(sys.modules[package], name, value)
         return value
 

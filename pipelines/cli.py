@@ -22,6 +22,7 @@ from pipelines.session.command_process import (
     prepare_output,
     reader_gone,
 )
+from pipelines.session.setup.former_names import COMMANDS, current
 
 WELL, FAILED, MISTAKE = 0, 1, 2
 #: What the system can refuse to any program, and the fix.
@@ -76,7 +77,7 @@ _COMMANDS = {
     "yamcs": "write an instance of YAMCS that reads a session's telemetry and commands it",
     "task": "list, select, start and abort tasks of a running session",
     "stop": "emergency stop of the robot, or its release",
-    "owner": "say who drives the robot, or hand it to a partner",
+    "authority": "say who drives the robot, or hand it to a partner",
     "record": "record a running session, and leave it again",
     "trainer": "give a running session an exercise: no signal, a fault, a lost camera",
     "report": "show what a session gave, as a page too; join the reports of two ends",
@@ -211,6 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         words = sys.argv[1:] if arguments is None else list(arguments)
+        words[:1] = [current(word, COMMANDS) for word in words[:1]]
         _check_system(words[0] if words else "")
         parser = _loaded(words[0] if words else "", alone=arguments is None)
         args = parser.parse_args(words)

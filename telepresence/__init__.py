@@ -16,8 +16,12 @@ if TYPE_CHECKING:
         JoystickDevice,
         JoystickReading,
     )
+
+    # `JoystickFacts` and `RobotFacts` are former names, for drivers written for 0.1.0.
+    from telepresence.haptics.device.device import JoystickCapabilities as JoystickFacts
     from telepresence.haptics.device.states import JoystickState
     from telepresence.haptics.robot import JointReading, RobotCapabilities
+    from telepresence.haptics.robot import RobotCapabilities as RobotFacts
     from telepresence.haptics.robot_device import RobotDevice, RobotReading
     from telepresence.haptics.sample import Command, Feedback
     from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
@@ -48,6 +52,7 @@ __all__ = [
     "JointReading",
     "JoystickCapabilities",
     "JoystickDevice",
+    "JoystickFacts",
     "JoystickReading",
     "JoystickSide",
     "JoystickState",
@@ -61,6 +66,7 @@ __all__ = [
     "RadioProfile",
     "RobotCapabilities",
     "RobotDevice",
+    "RobotFacts",
     "RobotReading",
     "RobotSide",
     "TelemetryEvent",

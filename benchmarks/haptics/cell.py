@@ -47,7 +47,7 @@ class Cell:
 
     wall: its stiffness (N/m). angle: of the direction in which the tip meets it (degrees; 0: along
     x). place: its distance from the middle (mm). hand: one of `HANDS`. free: free motion before
-    the first press (s). restart: the end that begins a new start, at `contact`, in the second press,
+    the first press (s). restart: the end that starts anew at `contact`, in the second press,
     or `free`, before it. mode: of the hand. envelope: the safety envelope is in the loop and asks
     for presses. passive: `off` leaves the passivity controllers out.
     """

@@ -24,7 +24,7 @@ from pipelines.upkeep.sequence_runner import (
 
 #: Those that end by themselves and need no terminal.
 COMMANDS = (
-    *("apploader", "devices", "doctor", "export", "file", "info", "joystick", "keys", "owner"),
+    *("apploader", "devices", "doctor", "export", "file", "info", "authority", "joystick", "keys"),
     *("recover", "report", "robot", "select", "stop", "task", "tc", "topology", "versions"),
 )
 _LOOK_S = 0.5

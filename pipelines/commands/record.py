@@ -58,7 +58,7 @@ def options_of(args: argparse.Namespace, *, held: bool) -> RecordingOptions | No
 
 
 def checked_options(args: argparse.Namespace, setup: Setup) -> RecordingOptions | None:
-    """As `options_of`, for a session that is about to begin; ConfigError if it cannot be recorded."""
+    """As `options_of`, for a session about to begin; ConfigError if it cannot be recorded."""
     options = options_of(args, held=False)
     if options is not None:
         path = Path(options.file)

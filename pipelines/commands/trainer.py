@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
 from pipelines.session.option_rows import add_actions
+from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.terminals import running_sessions, send_request
 from pipelines.session.training import (
     CAMERA,
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     request = TrainerRequest(
         exercise=args.exercise,
         seconds=getattr(args, "seconds", 0.0),
-        camera=getattr(args, "camera", ""),
+        camera=current(getattr(args, "camera", ""), INPUTS),
     )
     running = running_sessions(TRAINER_SOCKET)
     session = acting_on(args.session, running, moves=True) if running else None

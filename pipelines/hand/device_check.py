@@ -187,7 +187,7 @@ class DeviceCheck(Generic[R]):
         """
         try:
             capabilities = self._switched_on()
-            yield self._check("facts", lambda: self._capabilities(capabilities))
+            yield self._check("capabilities", lambda: self._capabilities(capabilities))
             for name, check, lacks in self._checks():
                 yield CheckResult(name, skipped=lacks) if lacks else self._check(name, check)
         finally:
@@ -208,7 +208,7 @@ class DeviceCheck(Generic[R]):
 
     def _capabilities(self, capabilities: Any) -> tuple[Figure, ...]:
         """They can be."""
-        taken(self._known, capabilities, "facts")
+        taken(self._known, capabilities, "capabilities")
         return ()
 
     def moves(self) -> tuple[Figure, ...]:

@@ -129,7 +129,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         device.configure()
         if not isinstance(device.capabilities, RobotCapabilities):
             # Refused here, before it has power; wrong values are the check of its facts.
-            taken(RobotCapabilities, device.capabilities, "facts")
+            taken(RobotCapabilities, device.capabilities, "capabilities")
         self._takes_force = device.capabilities.takes == "force"
         self._runs_alone = device.capabilities.runs_alone
         self._powered = True

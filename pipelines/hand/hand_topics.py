@@ -1,4 +1,4 @@
-"""What page, joystick, robot and the desk of its owner tell each other through topics; the desk.
+"""What page, joystick, robot and the arbiter of its authority tell each other through topics; the arbiter.
 
 | topic | writer | content |
 |---|---|---|
@@ -10,7 +10,7 @@
 | `arm/state` | robot | `ArmState`: who drives |
 
 An operator hands the robot's haptic port over at the desk. A terminal's request is a line of JSON,
-`{"authority": "partner"}`; an empty owner only asks. The answer is `{"ok": true, "owner": "iss",
+`{"authority": "partner"}`; an empty one only asks. The answer is `{"ok": true, "authority": "operator",
 "wanted": "partner", ...}` or `{"ok": false, "error": "..."}`.
 """
 
@@ -174,16 +174,16 @@ _DECODER = msgspec.msgpack.Decoder(JoystickStatus)
 ARM_SOCKET = "arm"
 ARM_ORDER_OCTETS = max(len(authority.value) for authority in Authority)
 ARM_STATE_OCTETS = 256
-OWNERS = tuple(authority.value for authority in Authority)
+AUTHORITIES = tuple(authority.value for authority in Authority)
 
 
 class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """Who drives: "iss", "partner" or "" for nobody. waiting: for a released dead-man button."""
+    """Who drives: "operator", "partner" or "" for nobody. waiting: for a released dead-man button."""
 
     authority: str = ""
     wanted: str = ""
     waiting: bool = False
-    refused_iss: int = 0
+    refused_operator: int = 0
     refused_partner: int = 0
 
     @classmethod
@@ -193,7 +193,7 @@ class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
             authority="" if metrics.authority is None else metrics.authority.value,
             wanted=metrics.wanted.value,
             waiting=waiting and metrics.authority is not None,
-            refused_iss=metrics.refused[Authority.ISS.value],
+            refused_operator=metrics.refused[Authority.OPERATOR.value],
             refused_partner=metrics.refused[Authority.PARTNER.value],
         )
 
@@ -227,10 +227,10 @@ class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
 class ControlArbiter:
     """Takes requests. After each input publish `order`.
 
-    service: takes them. order: who is to drive. It outlives the desk: give the last one at the start.
+    service: takes them. order: who is to drive. It outlives the process: give the last one.
     """
 
-    def __init__(self, order: Authority = Authority.ISS) -> None:
+    def __init__(self, order: Authority = Authority.OPERATOR) -> None:
         self.order = order
         self._state = ArmState(wanted=order.value)
         self.service = LineServer(AuthorityRequest, self._answer)
@@ -242,8 +242,8 @@ class ControlArbiter:
     def _answer(self, request: AuthorityRequest, _now_ns: int) -> AuthorityAnswer:
         wanted = request.authority
         if wanted != "":
-            if wanted not in OWNERS:
-                error = f"no owner {wanted}: take {' or '.join(OWNERS)}"
+            if wanted not in AUTHORITIES:
+                error = f"no authority {wanted}: take {' or '.join(AUTHORITIES)}"
                 return AuthorityAnswer(ok=False, error=error, mistake=True)
             self.order = Authority(wanted)
         state = self._state

@@ -156,7 +156,7 @@ class RobotEnd(_End[RobotSide]):
         self._state: WorldState | None = None
 
     def _handle_iss(self, data: bytes, now_ns: int) -> None:
-        self._handle_of(Authority.ISS, data, now_ns)
+        self._handle_of(Authority.OPERATOR, data, now_ns)
 
     def handle_partner(self, data: bytes, now_ns: int) -> None:
         """A datagram of the partner's joystick arrived."""

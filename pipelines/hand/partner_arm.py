@@ -138,7 +138,7 @@ def route_to_authority(ownership: ControlAuthority, to_partner: Send) -> Callabl
     def routed(to_gateway: Send) -> Send:
         def send(sample: bytes) -> None:
             authority = ownership.authority
-            if authority is Authority.ISS:
+            if authority is Authority.OPERATOR:
                 to_gateway(sample)
             elif authority is Authority.PARTNER:
                 to_partner(sample)

@@ -204,7 +204,7 @@ def run_robot(context: Context) -> None:
         board = None
         if setup.partner_arm == "board":
             # Nobody drives until our robot has rested.
-            asked = Authority.PARTNER if orders.board else Authority.ISS
+            asked = Authority.PARTNER if orders.board else Authority.OPERATOR
             ownership = ControlAuthority(None, wanted=asked)
             board = PartnerBoard(ownership)
         side = robot_side(

@@ -74,7 +74,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             when=shared,
             segment=Segment.GROUND,
             stage=Stage.LINK,
-            run="pipelines.hand.process_owner:run_control_arbiter",
+            run="pipelines.hand.process_arbiter:run_control_arbiter",
             stoppable=False,
             reads=(ARM_STATE_TOPIC,),
             writes=(ARM_ORDER_TOPIC,),

@@ -248,7 +248,7 @@ def run_gateway(
     """Bind the flows' ports, and exchange one frame a slot with the other segment.
 
     peer: how to reach the other segment on another machine; None: it is on this one.
-    publish_backlog: tell the session through shared memory how much video waits, and what a recorder
+    publish_backlog: write to shared memory how much video waits, and what a recorder
         wants to know.
     radio_after_ns: the radio's time 0, after the start of the session.
 

@@ -62,7 +62,7 @@ class ComponentService:
     At most 64 requests wait, beside values, of which only the newest do; beyond that the oldest is
     dropped. At most 8 events or calls come at once, then one a second; the others are dropped.
 
-    client: names this start of the component. settings: of writable parameters, from earlier starts.
+    client: names this start of the component. settings: writable ones, of earlier starts.
     Raises ConfigError if `read` or `set` does, PartError for all else that they raise or return.
     """
 

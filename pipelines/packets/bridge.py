@@ -125,7 +125,7 @@ class CommandEditions:
     """Tells a telecommand that is repeated from an equal one of a system that began anew.
 
     A ground system that was started again counts anew, so its telecommands may equal those of its
-    last start. One is repeated as long as its sender may not know what became of it. So it is new if
+    last start. One is repeated while its sender may not know what became of it. So it is new if
     each connection that sent it has the report of its end, and another one sends it. The new one
     gets the next number, its edition. By it the application tells the two apart.
 

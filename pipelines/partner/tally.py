@@ -14,7 +14,7 @@ from pipelines.partner.partner_metrics import RtcStreamMetrics
 class TrackMetrics(RtcStreamMetrics):
     """One stream of one connection; of one that comes, `repeated` came after a NACK.
 
-    dropped: units that waited too long. requested_bps: the newest REMB. reception: what the partner last
+    dropped: units that waited too long. requested_bps: newest REMB. reception: what the partner last
     said of a stream towards it.
     """
 

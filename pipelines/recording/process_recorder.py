@@ -1,6 +1,6 @@
 """The process that records the session: topics in, files out, and a Unix socket for requests.
 
-`Recorder` decides what is written, `RecorderRequests` what is answered. This module has the topics, the
+`Recorder` decides what is written, `RecorderRequests` what is answered. This module has topics, the
 files and the sleep. While nothing is recorded, it reads no topic.
 
 What is being recorded is also in a file of the session's directory. So a recorder that was killed

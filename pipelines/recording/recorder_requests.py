@@ -42,7 +42,7 @@ class Ask(NamedTuple):
 
 
 class RecorderRequests(TerminalServer[Start | Stop | Ask]):
-    """request: what is recorded at present. A held recording ends when no terminal holds it any more.
+    """options: of the present recording. A held recording ends when no terminal holds it any more.
 
     Call `handle_time` at least once a second.
     """

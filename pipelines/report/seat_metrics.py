@@ -90,7 +90,7 @@ class SeatMessage(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", t
     at_us: int
     seconds: float
     state: Literal["running", "stopped"]
-    metrics: Mapping[str, Figure]
+    figures: Mapping[str, Figure]
     link: Mapping[str, SeatDirection]
     processes: Sequence[SeatProcess]
     events: Sequence[Event]
@@ -150,7 +150,7 @@ class SeatMetrics:
             at_us=now_ns // NS_PER_US,
             seconds=round((now_ns - self._started_ns) / NS_PER_S, 3),
             state="running" if self._activity is Activity.RUNNING else "stopped",
-            metrics=metrics,
+            figures=metrics,
             link={name: _direction(report) for name, report in directions.items()},
             processes=list(self._seat_processes(cpu_s, now_ns)),
             events=(),

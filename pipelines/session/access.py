@@ -1,8 +1,8 @@
 """The people of a session, what each may open and ask for, and how many stay connected. A core.
 
-A token in the address identifies the user; the host must be a name of the seat. A client without a
-token is an unknown sender. Its connection is closed after `UNKNOWN_SENDER_NS`, and the oldest such connection
-makes room for a new one. So idle connections take few descriptors, and never keep out a user with
+A token in the address identifies the user; the host must be a name of the seat. The connection
+of a client without a token is closed after `UNAUTHENTICATED_NS`, and the oldest such one makes
+room for a new one. So idle connections take few descriptors, and never keep out a user with
 a token.
 """
 
@@ -266,7 +266,7 @@ def headers(host: str) -> dict[str, str]:
 #: Connections in all; of unknown senders in all, and from one address; of those who only watch.
 MOST_CONNECTIONS, MOST_UNAUTHENTICATED, MOST_OF_ADDRESS, MOST_WATCHING = 256, 64, 32, 128
 #: An unknown sender's longest time, and the longest that TLS may take to agree on keys.
-UNKNOWN_SENDER_NS = 10 * NS_PER_S
+UNAUTHENTICATED_NS = 10 * NS_PER_S
 HANDSHAKE_S = 5.0
 
 
@@ -318,7 +318,7 @@ class ConnectionLimits:
             [
                 one
                 for one, (_, since) in self._unauthenticated.items()
-                if now_ns - since >= UNKNOWN_SENDER_NS
+                if now_ns - since >= UNAUTHENTICATED_NS
             ]
         )
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from kontur_av.errors import ConfigError
 from pipelines.session.option_rows import add_options
+from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import DEADBANDS, HAND_MODES, NO_RADIO, Setup
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
@@ -113,7 +114,7 @@ def _sources(options: Sequence[str]) -> Mapping[str, str]:
         name, equals, spec = option.partition("=")
         if not (name and equals and spec):
             raise ConfigError(f"--source {option}: write NAME=SPEC, like head=clip.mp4")
-        sources[name] = spec
+        sources[current(name, INPUTS)] = spec
     return sources
 
 

@@ -197,7 +197,7 @@ class RestartPolicy:
         self._due_ns = now_ns + self._rest_ns
 
     def poll_timeout(self) -> int | None:
-        """Return when to start the next start; None during a life, before the first, if unwanted."""
+        """Return when to start again; None while it runs, before the first start, if unwanted."""
         return self._due_ns if self.wanted else None
 
     def poll_kill(self) -> int | None:

@@ -8,7 +8,7 @@ In the partner institute's experiments the data goes directly between space and 
 The first greeting for the other robot ends the present ownership: our robot comes to rest before
 the partner's is reached, or vice versa (`PartnerBoard`).
 
-A partner is an unknown sender. Only datagrams of a feedback's size and direction are passed on, at most
+A partner is not trusted. Only datagrams of a feedback's size and direction are passed on, at most
 one a cycle; the joystick's link and its controller judge the rest.
 """
 
@@ -33,7 +33,7 @@ _DEPTH = 200
 class Authority(Enum):
     """Who can drive the robot."""
 
-    ISS = "iss"
+    OPERATOR = "operator"
     PARTNER = "partner"
 
 
@@ -49,11 +49,11 @@ class AuthorityEvent:
 class AuthorityMetrics:
     """Who drives the robot, where a partner may, too (docs/rtc.md)."""
 
-    #: `iss` or `partner`; null: nobody.
+    #: `operator` or `partner`; null: nobody.
     authority: Newest[Authority] | None
     #: Who was to drive.
     wanted: Authority
-    #: Changes of the owner, the start included.
+    #: Changes of the authority, the start included.
     turns: int
     #: Datagrams of a sender that did not drive, by sender.
     refused: Mapping[str, int]
@@ -68,12 +68,15 @@ class ControlAuthority:
 
     authority: whose datagrams are taken; None: nobody's.
 
-    authority, wanted: at the start. A robot that was started again begins with None and the owner that
+    authority, wanted: at the start. A robot that starts again begins with None and the one that
     it had.
     """
 
     def __init__(
-        self, authority: Authority | None = Authority.ISS, *, wanted: Authority = Authority.ISS
+        self,
+        authority: Authority | None = Authority.OPERATOR,
+        *,
+        wanted: Authority = Authority.OPERATOR,
     ) -> None:
         self.authority = authority
         self.wanted = wanted
@@ -135,7 +138,7 @@ _SILENT_NS = 500 * NS_PER_MS
 class PartnerBoard:
     """Call `handle_joystick` and `handle_partner` for each datagram, then the two `poll_`.
 
-    ownership: of the joystick's port. `Authority.ISS`: it drives our robot; `Authority.PARTNER`: it drives
+    ownership: of the joystick's port. `Authority.OPERATOR`: it drives our robot; `PARTNER`: it drives
     the partner's. `RobotSide` says when our robot rests.
     """
 
@@ -148,7 +151,7 @@ class PartnerBoard:
     @property
     def left_out(self) -> bool:
         """Whether our robot must be off: it is not certain that the joystick asks for it."""
-        return self.ownership.authority is not Authority.ISS
+        return self.ownership.authority is not Authority.OPERATOR
 
     def handle_joystick(self, data: bytes, now_ns: int) -> bool:
         """A datagram of the joystick in space came; return whether it is for our robot."""
@@ -159,11 +162,11 @@ class PartnerBoard:
             except ProtocolError:
                 # Our link counts it.
                 return not self.left_out
-            ownership.handle_order(Authority.PARTNER if partner else Authority.ISS, now_ns)
+            ownership.handle_order(Authority.PARTNER if partner else Authority.OPERATOR, now_ns)
         if ownership.authority is Authority.PARTNER:
             self._to_partner = data
             return False
-        return ownership.takes(Authority.ISS)
+        return ownership.takes(Authority.OPERATOR)
 
     def handle_partner(self, data: bytes, now_ns: int) -> None:
         """A datagram of the partner's robot came. Garbage is counted; this never raises."""

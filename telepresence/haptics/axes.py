@@ -207,9 +207,11 @@ class MoreAxis:
             return f"a measurement of {self.capabilities.name} is not a number"
         capabilities = self.capabilities
         if abs(position) > _TOO_FAR * capabilities.half_range:
-            return f"{capabilities.name} is at {position:.3g}, outside of its range of {capabilities.half_range:g}"
+            limit = f"{capabilities.half_range:g}"
+            return f"{capabilities.name} is at {position:.3g}, outside of its range of {limit}"
         if abs(speed) > _TOO_FAST * capabilities.speed:
-            return f"{capabilities.name} moves at {speed:.3g}, beyond twice its speed of {capabilities.speed:g}"
+            limit = f"{capabilities.speed:g}"
+            return f"{capabilities.name} moves at {speed:.3g}, beyond twice its speed of {limit}"
         lever_m = self.lever_m
         self.position_m, self.speed_m_s, self.push_n = (
             position * lever_m,

@@ -87,7 +87,7 @@ class Robot:
     coupled: the caller computes the force of impedance mode, such as the bilateral controller, and
     calls `step`; otherwise call `drive`.
     work_j: work that the joints have done at the tip.
-    capabilities: of a user's robot (`telepresence.haptics.robot_device`); None for the simulated one.
+    capabilities: of a user's robot (`haptics.robot_device`); None for the simulated one.
     error: why a user's robot cannot go on, in one line.
     more: its axes behind x and y. They brake while the robot is not coupled.
     holds: the hand of a user's robot holds a ball.

@@ -118,7 +118,7 @@ class DrivenRobot(Robot):
         call = "configure()"
         try:
             device.configure()
-            call = "facts"
+            call = "capabilities"
             self.capabilities = capabilities = taken(RobotCapabilities, device.capabilities, call)
             call = "power_on()"
             self._powered = True

@@ -9,7 +9,7 @@
 | `evdev` | the first game controller |
 | `evdev:PATH` | the one at PATH, such as /dev/input/event5 |
 | `udp:HOST:PORT` | a controller in any language on this machine; with `:KEYFILE`, on any |
-| `module:Class` | a user's `JoystickDevice`; so is the name of an entry point of `JOYSTICK_PLUGINS` |
+| `module:Class` | a user's `JoystickDevice`; so is an entry point of `JOYSTICK_PLUGINS` |
 
 | SPEC of a robot | what |
 |---|---|
@@ -19,6 +19,8 @@
 """
 
 from collections.abc import Sequence
+from typing import Any, cast
+from warnings import warn
 
 from kontur_av.errors import ConfigError
 from kontur_av.parts import PluginRegistry, make_part
@@ -80,6 +82,7 @@ def open_device(
     """
     device: JoystickDevice = make_part(spec, JOYSTICK_PLUGINS, hand=hand, axes=axes or ())
     if spec.partition(":")[0] not in JOYSTICK_PLUGINS.built_in:
+        _take_former_name(device)
         try:
             device = UserJoystick(device)
         except PartError as error:
@@ -100,23 +103,42 @@ ROBOT_PLUGINS = PluginRegistry(
 )
 
 
+class _FormerName:
+    """Reads the `facts` of a driver written for 0.1.0. Not a data descriptor: own ones win."""
+
+    def __get__(self, device: Any, kind: type) -> object:
+        if device is None:
+            raise AttributeError("capabilities")
+        return device.facts
+
+
+def _take_former_name(device: object) -> None:
+    """Let a driver without `capabilities` name them `facts`, for one release."""
+    if "capabilities" not in dir(device) and "facts" in dir(device):
+        warn(
+            f"{type(device).__name__}.facts is called capabilities now", FutureWarning, stacklevel=2
+        )
+        cast(Any, type(device)).capabilities = _FormerName()
+
+
 def load_robot(spec: str, axes: Sequence[AxisName] = ()) -> RobotDevice | Robot:
     """Return the driver that `spec` names, or a robot without one, still off; ConfigError.
 
     axes: those behind x and y, for one that has what it is asked for.
     """
     made: RobotDevice | Robot = make_part(spec, ROBOT_PLUGINS, axes=axes)
+    _take_former_name(made)
     return made
 
 
 def capabilities_of(spec: str) -> RobotCapabilities | None:
     """As `load_robot`: its facts; None for `sim`, and where only `configure` finds them out."""
-    return getattr(load_robot(spec), "facts", None)
+    return getattr(load_robot(spec), "capabilities", None)
 
 
 def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
     """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
-    capabilities = getattr(load_robot(spec, axes), "facts", None)
+    capabilities = getattr(load_robot(spec, axes), "capabilities", None)
     if capabilities is not None:
         check_axes(f"robot {spec}", capabilities.more, axes)
 

@@ -31,7 +31,7 @@ TEXT_OCTETS = 80
 LONGEST_OCTETS = 200
 
 _HEAD = struct.Struct(">BBBB")
-_FACTS = struct.Struct(f">5fBB{AXES}f")
+_CAPABILITIES = struct.Struct(f">5fBB{AXES}f")
 _COMMAND = struct.Struct(f">QHH{3 * AXES}f")
 _READING = struct.Struct(f">QQHHf{3 * AXES}f")
 #: Larger limits of a device are no limits.
@@ -147,12 +147,12 @@ def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpCapabilities
     """
     takes_positions = _detail(datagram, UdpKind.WELCOME)
     body = datagram[_HEAD.size : -CODE_OCTETS]
-    text = body[2 * NONCE_OCTETS + _FACTS.size :]
-    if len(body) < 2 * NONCE_OCTETS + _FACTS.size or takes_positions > 1:
+    text = body[2 * NONCE_OCTETS + _CAPABILITIES.size :]
+    if len(body) < 2 * NONCE_OCTETS + _CAPABILITIES.size or takes_positions > 1:
         raise ProtocolError("a welcome of another form")
     if body[:NONCE_OCTETS] != nonce:
         return None
-    limits = _FACTS.unpack_from(body, 2 * NONCE_OCTETS)
+    limits = _CAPABILITIES.unpack_from(body, 2 * NONCE_OCTETS)
     half_m = limits[7:]
     # Compared this way round, so that NaN is refused, too.
     if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(limits[5:7]) <= 16):

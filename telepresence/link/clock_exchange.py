@@ -155,7 +155,7 @@ class _WholeClock:
 class ClockExchange:
     """Sends CLOCK messages and takes the peer's; call `poll_transmit` in a slot from `next_ns` on.
 
-    version: of the link. master, boot_id: of this end. told_offset_ns: the clock that is told, minus
+    version: of the link. master, boot_id: of this end. told_offset_ns: the clock told, minus
         that of all `now_ns`. Tell wall time: then offsets are small, and mean something to people.
 
     next_ns: when the next message is due.

@@ -42,7 +42,7 @@ class UnknownFrame(NamedTuple):
     """A good frame of a stream that the receiver does not follow.
 
     message: its supervision message, or None.
-    frames, lasts_ns: of the unknown sender's stream so far, without a break; 0 if the frame is not of it.
+    frames, lasts_ns: of the unknown sender's stream so far, without a break; 0 if it is of none.
     """
 
     message: bytes | None
@@ -98,7 +98,7 @@ class LinkReceiver:
         self._candidate: LinkReceiver | None = None
         #: It handles an unknown sender's stream, and no unknown senders beside that.
         self._strange = False
-        #: Of an unknown sender's stream: how its frames were counted as dropped, until it is followed.
+        #: Of an unknown sender's stream: how its frames were counted, until it is followed.
         self._dropped_as: dict[str, int] = {}
         self._begun_ns = 0
         self.frames_received = 0
@@ -173,7 +173,7 @@ class LinkReceiver:
     def follow_unknown_sender(self, *, new_boot_id: bool) -> bool:
         """Follow the stream of `unknown`, and take what its frame carries; return whether it can.
 
-        new_boot_id: another start of the peer sends it, with contexts of its own. A stream of the same
+        new_boot_id: another start of the peer sends it, with its own contexts. A stream of the same
         life that is behind the one before would bring frames again, so it is a late copy.
         """
         other = self._candidate

@@ -37,7 +37,7 @@ class ResetReason(IntEnum):
 
 
 class OpenService(NamedTuple):
-    """Open a stream. token: the opener's number for it. boot_id: the opener's. name: the service's."""
+    """Open a stream. token, boot_id: the opener's. name: the service's."""
 
     token: int
     boot_id: int

@@ -9,7 +9,7 @@ without floating point. Private PUS messages carry it (`telepresence.tmtc.pus`).
 | its acknowledgement | 0, life, number |
 
 Kinds: 1 `TaskSelected`, 2 `StartTask`, 3 `TaskFinished`, 4 `PanelState`, 5 `Chat`,
-6 `TaskProgress`. `boot_id` grows with each start of the sender. `number` counts its messages from 0.
+6 `TaskProgress`. `boot_id` grows with each start. `number` counts its messages from 0.
 `oldest` is the smallest number that the sender still repeats: the receiver waits for no number
 below it.
 """
@@ -345,12 +345,12 @@ class K2aciEndpoint:
     wait. Each repetition of a message waits twice as long as the one before, up to 8 `timeout_ns`.
     If the receiving process is killed, the last messages may arrive again under their numbers.
 
-    boot_id: grows with each start of this process, for example the second of its start; 0 to 2^32 - 1.
+    boot_id: grows with each start, for example the second of that instant; 0 to 2^32 - 1.
     Raises ConfigError for a life out of range or a timeout that is not positive.
     """
 
     def __init__(self, *, boot_id: int, timeout_ns: int = 500 * NS_PER_MS) -> None:
-        _check_count("life", boot_id)
+        _check_count("boot_id", boot_id)
         if timeout_ns <= 0:
             raise ConfigError("K2ACI needs a timeout above 0")
         self.arrived = 0

@@ -1,7 +1,7 @@
 """Updates and orders that come as files: which is taken when, and what became of each. A core.
 
 An archive is `NAME.tar` or `NAME.tar.gz`. An order is a text of one line in a file `NAME.order`.
-Archives are read in memory and never unpacked to a disk. The sender is an unknown sender until checksums
+Archives are read in memory and never unpacked to a disk. The sender is not trusted until checksums
 or signature are verified, so sizes are bounded.
 """
 

@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 from janus_room import free_port
-from places import ROOT
+from positions import ROOT
 from programs import needs
 from running_session import RunningSession, end_with_the_tests, eventually
 from yamcs import Yamcs, milliseconds, new_instance, value_of

@@ -12,7 +12,7 @@ from html import escape
 
 import msgspec
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from kontur_av.clock import NS_PER_S
 from pipelines.mission.tmtc_messages import Reported

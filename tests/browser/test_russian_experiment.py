@@ -116,4 +116,4 @@ def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_pa
         code, report = session.interrupt()
     assert code == 0, session.errors()
     assert report["failures"] == []
-    assert report["arm"]["owner"] == "iss" and report["arm"]["turns"] == 3
+    assert report["arm"]["authority"] == "operator" and report["arm"]["turns"] == 3

@@ -4,10 +4,10 @@ from functools import lru_cache
 
 from hypothesis import example, given
 from hypothesis import strategies as st
-from recordings import FACTS_OF_A_TEST, Step, damaged, scanned, sequences_in, steps, write
+from recordings import METADATA_OF_A_TEST, Step, damaged, scanned, sequences_in, steps, write
 
 from pipelines.recording.mcap_stream import MAGIC
-from pipelines.recording.metadata import CAPABILITIES, RecordingMetadata
+from pipelines.recording.metadata import METADATA, RecordingMetadata
 
 flips = st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(1, 255)), max_size=4)
 
@@ -29,7 +29,7 @@ def check(written, octets, hit):
     kept = {sequence for _, sequence, *_ in found}
     assert found == [message for message in told if message[1] in kept]
     assert kept >= {sequence for _, sequence, *_ in told} - lost
-    assert all(RecordingMetadata.of(row.metadata) == FACTS_OF_A_TEST for row in metadata)
+    assert all(RecordingMetadata.of(row.metadata) == METADATA_OF_A_TEST for row in metadata)
     if octets != written.octets:
         assert not scan.metrics.sound
 
@@ -66,6 +66,6 @@ def test_octets_cut_out_or_put_in(at, length, inserted):
 def test_any_octets(octets):
     scan, found, metadata = scanned(MAGIC + octets)
     assert not scan.ours
-    assert not any(row.name == CAPABILITIES for row in metadata)
+    assert not any(row.name == METADATA for row in metadata)
     assert scan.metrics.messages == len(found)
     assert scan.metrics.octets == len(octets) + len(MAGIC)

@@ -1,4 +1,4 @@
-"""Whatever unknown senders send or write, a parser understands it or refuses it with its own error."""
+"""Whatever outsiders send or write, a parser understands it or refuses it with its own error."""
 
 import contextlib
 import resource

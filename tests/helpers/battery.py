@@ -87,7 +87,7 @@ class Mission:
         self.table = application_of(self.battery, 0x140)
         known = built_in_dictionary()
         self.dictionary = with_components(known, [Component("tests:Battery", self.table)])
-        boot_id = {"now_ns": 0, "first_count": 1, "life": 1}
+        boot_id = {"now_ns": 0, "first_count": 1, "boot_id": 1}
         self.ends = {one: TmtcEnd(one, self.dictionary, **boot_id) for one in Segment}
         self.now_ns, self.taken, self.number = 0, True, 0
         self.told = []
@@ -141,6 +141,6 @@ class Mission:
         """What its process counts."""
         told = []
         self.service.publish(
-            type("Probe", (), {"tell": lambda _self, record: told.append(record)})()
+            type("Probe", (), {"publish": lambda _self, record: told.append(record)})()
         )
         return told[0]

@@ -8,7 +8,7 @@ import shutil
 import subprocess
 
 import pytest
-from places import ROOT
+from positions import ROOT
 from running_session import TIMEOUT_S, eventually
 
 CLIENT = ROOT / "tests" / "web" / "foxglove_client.mjs"

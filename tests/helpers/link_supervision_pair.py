@@ -27,7 +27,7 @@ class End:
         self.name, self.configuration, self.master = name, configuration, master
         self.supervisor = None
         self.boot_id = 0
-        #: The life whose stream is followed, and the unknown sender's: life, first and last frame, count.
+        #: The boot id followed, and the unknown sender's: boot id, first and last frame, count.
         self.followed = None
         self.unknown = (None, 0, 0, 0)
         self.sends = True

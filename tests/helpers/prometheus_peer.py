@@ -7,7 +7,7 @@ import urllib.parse
 import urllib.request
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 SAMPLES = ROOT / "samples" / "monitoring"
 PROMETHEUS = shutil.which("prometheus")

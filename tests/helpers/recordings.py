@@ -10,7 +10,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY
 from pipelines.recording.mcap_stream import McapStream
-from pipelines.recording.metadata import CAPABILITIES, RecordingMetadata
+from pipelines.recording.metadata import METADATA, RecordingMetadata
 from pipelines.recording.recorded_messages import EVENT, VIDEO
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.recording.schemas import descriptor_set
@@ -19,7 +19,7 @@ LIBRARY = "kontur-av test"
 WALL_NS = 1_800_000_000_000_000_000
 #: The shell that drives the stream looks this often.
 POLL_NS = 50_000_000
-FACTS_OF_A_TEST = RecordingMetadata(
+METADATA_OF_A_TEST = RecordingMetadata(
     session="test",
     setup="spacejustin",
     setup_toml="name = 'spacejustin'\n",
@@ -121,7 +121,7 @@ def write(script: list[Step], *, end: bool = True) -> Written:
             pieces.append(Piece(len(octets), len(octets) + len(piece), now_ns))
             octets.extend(piece)
 
-    stream.handle_metadata(CAPABILITIES, FACTS_OF_A_TEST.items())
+    stream.handle_metadata(METADATA, METADATA_OF_A_TEST.items())
     for number in range(5):
         stream.handle_channel(*channel(number))
     fetch()

@@ -20,7 +20,7 @@ from pipelines.bench.course import marks
 from pipelines.hand.haptic_trace import flags_of
 from pipelines.recording.channels import channels_of
 from pipelines.recording.mcap_stream import McapStream
-from pipelines.recording.metadata import CAPABILITIES, LIBRARY, RecordingMetadata
+from pipelines.recording.metadata import LIBRARY, METADATA, RecordingMetadata
 from pipelines.recording.recorded_messages import (
     NO_SAMPLE,
     SAMPLE,
@@ -71,7 +71,7 @@ size = "320x240"
 [downlink_voice]
 cap_kbps = 64
 """
-FACTS_OF_SYNTHETIC = RecordingMetadata(
+METADATA_OF_SYNTHETIC = RecordingMetadata(
     session="kontur-1",
     setup="spacejustin",
     setup_toml=SETUP_TOML,
@@ -129,7 +129,7 @@ class SyntheticRecording:
     units: dict[str, list[Coded]]
     haptics: dict[str, np.ndarray]
     contacts: list[tuple[int, int]]
-    capabilities: RecordingMetadata = field(default=FACTS_OF_SYNTHETIC)
+    capabilities: RecordingMetadata = field(default=METADATA_OF_SYNTHETIC)
 
 
 def wall_ns(session_ns):
@@ -171,7 +171,7 @@ def write_recording(path, *, seconds=3.0, parts=1, link_frames=False, end=True):
         ]
         paths.append(part_path(Path(path), part))
         capabilities = replace(
-            FACTS_OF_SYNTHETIC, part=part, session_ns=begin_ns, wall_ns=wall_ns(begin_ns)
+            METADATA_OF_SYNTHETIC, part=part, session_ns=begin_ns, wall_ns=wall_ns(begin_ns)
         )
         paths[-1].write_bytes(
             octets_of_part(rows.values(), capabilities, of_part, end or part < parts)
@@ -186,7 +186,7 @@ def write_recording(path, *, seconds=3.0, parts=1, link_frames=False, end=True):
 
 def octets_of_part(rows, capabilities, messages, end):
     stream, octets, now_ns = McapStream(library=LIBRARY), bytearray(), 0
-    stream.handle_metadata(CAPABILITIES, capabilities.items())
+    stream.handle_metadata(METADATA, capabilities.items())
     numbers = {}
     for row in rows:
         numbers[row.topic] = row.number

@@ -3,7 +3,7 @@
 import importlib.util
 from dataclasses import replace
 
-from places import ROOT
+from positions import ROOT
 
 from telepresence.haptics.axes import AxisCapabilities, AxisReading, SimulatedAxis
 

@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 from common import eventually
-from places import ROOT
+from positions import ROOT
 from programs import needs_elements
 from running_link import RunningLink, assert_books_are_right
 

@@ -10,7 +10,7 @@ import subprocess
 import pytest
 from common import TIMEOUT_S, eventually
 from media_commands import finish, ours, output_of, player, started, wait_for_line
-from places import ROOT
+from positions import ROOT
 from programs import needs, needs_elements
 from running_session import free_pair
 

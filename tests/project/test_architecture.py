@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 
 import pytest
-from places import ROOT, imports_of
+from positions import ROOT, imports_of
 
 
 def words(*lines: str) -> set[str]:

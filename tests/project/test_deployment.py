@@ -8,7 +8,7 @@ from pathlib import Path
 
 import av
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from kontur_av.sources.spec import check_spec
 

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.glob("*.md"))

@@ -2,7 +2,7 @@
 
 import importlib.util
 
-from places import ROOT
+from positions import ROOT
 
 
 def test_the_types_are_up_to_date():

@@ -7,7 +7,7 @@ import ast
 from collections.abc import Iterator
 from functools import cache
 
-from places import ROOT, tree_of
+from positions import ROOT, tree_of
 
 PACKAGES = ("kontur_av", "telepresence", "pipelines")
 

@@ -6,7 +6,7 @@ import re
 from functools import cache
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 pytest.importorskip("griffe", reason="pip install -e '.[dev]'")
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 from functools import cache
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from benchmarks.__main__ import make_parser as make_benchmark_parser
 from pipelines.cli import make_parser

@@ -1,7 +1,7 @@
 """Each rule has a test, each option of each command too; the two tables say which."""
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from tests import tables
 

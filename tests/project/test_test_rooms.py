@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from places import ROOT
+from positions import ROOT
 from unit_room import closed_doors
 
 from pipelines.session.setup.setup_file import BUILT_IN

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from places import ROOT
+from positions import ROOT
 from tiers import TABLE
 
 #: Leaves a line for each test: when it begins and ends, in which process, at which priority.

@@ -141,7 +141,7 @@ class Run:
             assert os.sched_getscheduler(pid) == os.SCHED_IDLE
             url = address(session)
             self._look(FoxgloveClient(url, top / "looker.txt"))
-            # An unknown sender without the token is refused, and garbage closes a socket of its own.
+            # A client without the token is refused, and garbage closes a socket of its own.
             unknown = FoxgloveClient(url.replace("token=", "token=x"), top / "unknown sender.txt")
             assert "403" in str(eventually(lambda: unknown.answers("error"), "a refusal"))
             unknown.end()

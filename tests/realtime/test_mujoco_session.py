@@ -1,4 +1,4 @@
-"""SpaceJustin in MuJoCo, and an unknown sender's arm, in whole sessions by the documents' commands."""
+"""SpaceJustin in MuJoCo, and a stranger's arm, in whole sessions by the documents' commands."""
 
 import os
 import shutil

@@ -25,7 +25,7 @@ def start_lab(start, tmp_path):
 
 
 def authority(session, *words):
-    command = [*COMMAND, "owner", *words]
+    command = [*COMMAND, "authority", *words]
     return subprocess.run(
         command, capture_output=True, text=True, timeout=TIMEOUT_S, env=session.environment
     )
@@ -86,15 +86,15 @@ def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start
             lambda: authority(session).stdout.startswith("partner drives"), "the partner again"
         )
         assert authority(session, "bob").returncode == 2
-        hand_over(session, "iss")
+        hand_over(session, "operator")
         partner.wait_for("silent")
         code, got = partner.end()
     assert code == 0 and got > 0
     session.wait_for_flow()
     _, report = session.interrupt()
     arm = report["arm"]
-    assert arm["owner"] == arm["wanted"] == "iss"
-    assert arm["refused"]["partner"] > 0 and arm["refused"]["iss"] > 0
+    assert arm["authority"] == arm["wanted"] == "operator"
+    assert arm["refused"]["partner"] > 0 and arm["refused"]["operator"] > 0
     assert set(restarted(report)) == {"owner_desk", "robot"}
 
 
@@ -125,7 +125,7 @@ def test_one_joystick_drives_across_the_internet_until_the_owner_takes_the_robot
         with Partner(session, tmp_path / "second.txt", *words) as second:
             second.wait_for("the owner takes the robot back")
             assert "taken its place" not in (tmp_path / "first.txt").read_text()
-            hand_over(session, "iss")
+            hand_over(session, "operator")
             eventually(
                 lambda: "another one has taken its place" in (tmp_path / "first.txt").read_text(),
                 "the second joystick in the place of the first",

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 #: Protects against a hang; no result of a test depends on it.
 TIMEOUT_S = 900

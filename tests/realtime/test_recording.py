@@ -16,7 +16,7 @@ from running_session import COMMAND, TIMEOUT_S, assert_sound, eventually
 from xtce_decoder import decoded
 
 from pipelines.cli import main
-from pipelines.recording.metadata import CAPABILITIES, RecordingMetadata
+from pipelines.recording.metadata import METADATA, RecordingMetadata
 from pipelines.recording.recorded_messages import (
     RecordedEvent,
     RecordedPacket,
@@ -43,7 +43,7 @@ def scanned(path):
     for item in scan.items():
         if isinstance(item, FoundMessage):
             messages.append(item)
-        elif isinstance(item, Metadata) and item.name == CAPABILITIES:
+        elif isinstance(item, Metadata) and item.name == METADATA:
             capabilities = RecordingMetadata.of(item.metadata)
     return scan, messages, capabilities
 

@@ -19,7 +19,7 @@ from kontur_av.codecs.h26x import H264Decoder
 from pipelines.hand.hand_topics import unpack_status
 from pipelines.mission.tmtc_messages import SendK2aci
 from pipelines.mission.tmtc_socket import send_to_tmtc
-from pipelines.recording.metadata import CAPABILITIES, RecordingMetadata
+from pipelines.recording.metadata import METADATA, RecordingMetadata
 from pipelines.recording.recorded_messages import (
     RecordedPicture,
     UnitMetadata,
@@ -64,7 +64,7 @@ class Recorded:
             if isinstance(item, FoundMessage):
                 channel = self.channels.setdefault(item.channel.topic, {})
                 channel.setdefault(item.message.log_time, item.message.data)
-            elif isinstance(item, Metadata) and item.name == CAPABILITIES:
+            elif isinstance(item, Metadata) and item.name == METADATA:
                 self.capabilities = RecordingMetadata.of(item.metadata)
 
     def units(self, channel):

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from places import ROOT
+from positions import ROOT
 from running_session import RunningSession
 
 from kontur_av.clock import MonotonicClock

@@ -5,7 +5,7 @@ import socket
 import subprocess
 import sys
 
-from places import ROOT
+from positions import ROOT
 
 SAMPLE = ROOT / "samples" / "send_numpy.py"
 OTHER_END = ROOT / "samples" / "receive_numpy.py"

@@ -9,7 +9,7 @@ import av
 import cv2
 import numpy as np
 import pytest
-from places import ROOT
+from positions import ROOT
 from synthetic_recording import BEGIN_NS, LINK_NS, MS, PUBLISHED_NS, TOUCH_S, S, write_recording
 
 from kontur_av.topics.session_files import shared_memory

@@ -1,4 +1,4 @@
-"""The samples' robots of MuJoCo on virtual time: SpaceJustin's two arms, and an unknown sender's arm."""
+"""The samples' robots of MuJoCo on virtual time: SpaceJustin's two arms, and a stranger's arm."""
 
 import sys
 from math import hypot

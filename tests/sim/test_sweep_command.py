@@ -83,7 +83,7 @@ def test_a_sweep_has_every_case_and_every_run(swept):
         {"radio_delay_ms": 0},
         {"radio_delay_ms": 20},
     ]
-    found = [case["figures"]["force_p99_ms"]["median"] for case in report["cases"]]
+    found = [case["metrics"]["force_p99_ms"]["median"] for case in report["cases"]]
     assert found[1] - found[0] == 20
     assert [run["seed"] for run in report["runs"]] == [1, 2, 1, 2]
     rows = list(csv.DictReader((swept / "mine.csv").open()))
@@ -93,7 +93,7 @@ def test_a_sweep_has_every_case_and_every_run(swept):
 
 def test_a_sweep_runs_only_what_its_report_lacks(swept, capsys):
     marked = json.loads((swept / "mine.json").read_text())
-    marked["runs"][1]["figures"]["force_p99_ms"] = 777.0
+    marked["runs"][1]["metrics"]["force_p99_ms"] = 777.0
     del marked["runs"][2]
     # A run that crashed is done again.
     marked["runs"][2]["error"] = "killed"
@@ -104,7 +104,7 @@ def test_a_sweep_runs_only_what_its_report_lacks(swept, capsys):
     assert "2 of 4 runs" in told.err
     assert "4 of 4 runs" in told.err
     kept = [
-        run["figures"]["force_p99_ms"]
+        run["metrics"]["force_p99_ms"]
         for run in json.loads((swept / "marked.json").read_text())["runs"]
     ]
     assert kept[1] == 777.0
@@ -129,8 +129,8 @@ def test_sessions_with_a_plan_are_judged_by_their_tasks(tmp_path, capsys):
     assert "1 of 1 usable" in capsys.readouterr().out
     report = json.loads(kept.read_text())
     (run,) = report["runs"]
-    assert run["figures"]["tasks_finished"] == 1
-    assert run["figures"]["aiming_s"] > 1
+    assert run["metrics"]["tasks_finished"] == 1
+    assert run["metrics"]["aiming_s"] > 1
     assert report["headlines"][0]["met"]
     plan.write_text('[[task]]\nname = "nothing"\n')
     assert main(["sweep", str(file)]) == 2

@@ -5,7 +5,7 @@ import shutil
 import subprocess
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 HERE = ROOT / "tests" / "web"
 STATIC = ROOT / "pipelines" / "seats" / "static"

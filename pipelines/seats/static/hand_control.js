@@ -21,7 +21,7 @@ const CLOCK_ERROR_US = 20_000;
  * @property {boolean} mayAct
  * @property {string} hindrance
  * @property {{joystick: string, workspace: {half_width_m: number, half_height_m: number}} | null} hello
- * @property {{hand: {holder: number | null, you: boolean, who: string}, now_us: number, joystick?: {axes: {place: number, half_range: number}[]} | null} | null} state
+ * @property {{hand: {holder: number | null, you: boolean, who: string}, now_us: number, joystick?: {axes: {position: number, half_range: number}[]} | null} | null} state
  * @property {(name: any, listener: (event: any) => void) => unknown} on
  * @property {(request: {do: "hand", action: "take"}) => Promise<{ok: boolean, error: string}>} request
  * @property {(hand: Hand) => void} sendHand
@@ -110,7 +110,7 @@ export class HandControl extends EventTarget {
       this.#source = source;
       this.#target = { ...(this.#handle ?? { x: 0, y: 0 }) };
       const axes = this.#connection.state?.joystick?.axes ?? [];
-      this.#more = axes.map(({ place, half_range }) => cut(place / half_range));
+      this.#more = axes.map(({ position, half_range }) => cut(position / half_range));
       if (this.#connection.state?.hand.you === true) this.#steer();
       else void this.#take(source);
     }

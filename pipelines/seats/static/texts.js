@@ -98,8 +98,8 @@
 
 /**
  * An axis of the joystick behind x and y: m and N, of rotations rad and N m.
- * @typedef {{name: string, place: number, half_range: number, force: number, force_limit: number}}
- *   AxisText
+ * @typedef {{name: string, position: number, half_range: number, force: number, force_limit:
+ *   number}} AxisText
  */
 
 /**
@@ -253,7 +253,7 @@
  */
 
 /**
- * The robot controller. life: of its process. handled: number of the newest order. x_m, y_m: of
+ * The robot controller. boot_id: of its process. handled: number of the newest order. x_m, y_m: of
  * the tip. push_n: the board's force. goal_m: where it rests after a move. fault: one line, "" for
  * none. error: its kind, a `telepresence.tasks.robot_control.Fault`. halted: the newest sample of
  * the joystick says that it is. commanded: number of the newest `RobotCommand`; None for none.
@@ -263,7 +263,7 @@
  * stays after a release here. offset_mm: the robot's place less the hand's. holds: its hand holds
  * a ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
  * partner: of the partner's robot, "none", "absent", "ready" or "driven".
- * @typedef {{kind: "robot", life: number, powered: boolean, mode: "position" | "torque" |
+ * @typedef {{kind: "robot", boot_id: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,

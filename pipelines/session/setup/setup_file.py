@@ -11,6 +11,7 @@ from typing import Any
 from kontur_av.codecs.coding import PREFERENCES
 from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, parse_size
+from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.setup.table import NO_RADIO, RtcLeg, Setup, VideoStream, VoiceStream
 from telepresence.haptics.envelope import SafetyLimits
@@ -141,7 +142,8 @@ def _built(
     radio_start_s: float | None,
 ) -> Setup:
     # Put them in before the setup is built: an input may have its only source on the command line.
-    values = {**found, "sources": {**found["sources"], **sources}, **changes}
+    own = {current(name, INPUTS): spec for name, spec in found["sources"].items()}
+    values = {**found, "sources": {**own, **sources}, **changes}
     radio = values["radio"]
     if isinstance(radio, str) and (radio_start_s is not None or radio not in RADIOS):
         values["radio"] = radio = load_radio(radio)

@@ -20,7 +20,7 @@ class UserJoystick:
 
     def __init__(self, device: JoystickDevice) -> None:
         self.device = device
-        self.capabilities = taken(JoystickCapabilities, device.capabilities, "facts")
+        self.capabilities = taken(JoystickCapabilities, device.capabilities, "capabilities")
         self._fault = ""
         self._last = _REST
 

@@ -45,16 +45,16 @@ from telepresence.link.supervision.record import (
 _NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch events; beyond that the oldest are dropped.
 _EVENTS_DEPTH = 256
-#: An unknown sender that hears nobody cannot prove itself. It is followed unproven after this many frames,
+#: An unknown sender that hears nobody cannot prove itself. It is followed after this many frames,
 #: over this time, if no peer was ever met.
 _DEAF_FRAMES = 8
 _DEAF_NS = 20 * NS_PER_MS
 #: If one was, the unknown sender must last for this long, and the peer be silent for this long.
 _DEAF_LATER_NS = NS_PER_S
 _PEER_SILENCE_NS = 2 * NS_PER_S
-#: An unknown sender without a message is asked after this time: it may be the peer whose delay changed.
+#: An unknown sender without a message is challenged after this time: its delay may have changed.
 _MUTE_NS = 5 * NS_PER_MS
-#: While the peer is there, unknown senders are asked at this interval, and no longer than this after
+#: With a peer, unknown senders are challenged at this interval, and no longer than this after
 #: their last frame.
 _ASK_NS = 100 * NS_PER_MS
 #: Fewer slots than this without a frame are never a loss of signal, however long the slots are.
@@ -214,7 +214,7 @@ class Supervisor:
         self._proof = Proof(secret, self.timing)
         #: The newest message of the unknown sender's stream that matches.
         self._unknown: SupervisionMessage | None = None
-        #: When a frame of any unknown sender came, and one of an unknown sender that may be the peer.
+        #: When a frame of any unknown sender came, and of one that may be the peer.
         self._stray_ns = self._unknown_sender_ns = now_ns - self.timing.silence_ns
         #: When to send a HELLO out of turn, if at all; when the last one was sent, and the last
         #: one because of an unknown sender.
@@ -427,7 +427,7 @@ class Supervisor:
         self._events.append(PeerMet(now_ns, self.peer_boot_id, before_boot_id != 0))
 
     def _note_challenge(self, told: SupervisionMessage, now_ns: int) -> None:
-        """Answer a question at once, but not so often that unknown senders take the packets' place."""
+        """Answer a challenge at once, but not so often that the answers take the packets' place."""
         if not told.number:
             return
         proof, timing = self._proof, self.timing

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from bench_records import MACHINE, RECORD
-from places import ROOT
+from positions import ROOT
 
 from benchmarks import BENCHMARKS
 from benchmarks.__main__ import main, make_parser

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from benchmarks.haptics.cell import BAND_NAMES, Cell, kept_cells, random_cells, read_cell
 from benchmarks.haptics.channel import SampleChannel

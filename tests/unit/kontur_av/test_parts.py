@@ -35,7 +35,7 @@ def here(monkeypatch):
     monkeypatch.setattr(parts.importlib, "import_module", lambda _: SimpleNamespace(**globals()))
 
 
-@pytest.mark.parametrize(("door", "name"), BUILT_IN)
+@pytest.mark.parametrize(("admission", "name"), BUILT_IN)
 def test_each_built_in_part_is_found_without_reading_metadata(admission, name, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(parts, "entry_points", None)

@@ -19,7 +19,7 @@ def test_numbers_of_numpy_become_those_of_python(number):
     assert found == RobotReading(1.0, 2.0, 3.0, 4.0, contact=True, joints=((1.0, 2.0),))
     assert {type(one) for one in found[:6]} == {float} and type(found.contact) is bool
     capabilities = taken(
-        RobotCapabilities, RobotCapabilities(name="arm", speed_m_s=number(1)), "facts"
+        RobotCapabilities, RobotCapabilities(name="arm", speed_m_s=number(1)), "capabilities"
     )
     assert type(capabilities.speed_m_s) is float
     held = taken(JoystickReading, (*REST, np.uint8(3), np.bool_(True), None), "read()")

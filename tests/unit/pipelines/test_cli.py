@@ -252,7 +252,7 @@ ROWS = [
 def _write_recordings(folder):
     write_recording(folder / "a.mcap", seconds=2.0)
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("channels", "facts"):
+        for module in ("channels", "metadata"):
             patch.setattr(f"pipelines.recording.{module}.FORMAT", FORMAT + 1)
         write_recording(folder / "newer.mcap", seconds=0.5)
     steps = [Step(100_000_000, count % 2, 0, b"12345") for count in range(20)]

@@ -85,7 +85,7 @@ def test_pictures_shown_before_a_recovery_point_but_coded_after_it_stay_damaged(
     assert len(corrupted) <= 15  # one open GOP and its leading pictures
 
 
-@pytest.mark.parametrize(("back", "hurt"), [(3_000, True), (90_000, False), (2**31, False)])
+@pytest.mark.parametrize(("back", "corrupted"), [(3_000, True), (90_000, False), (2**31, False)])
 def test_after_a_recovery_point_time_may_begin_anew(back, corrupted):
     healing, wave, other = Healing(), sei(6, b"\xb0"), b"\0\0\0\1\x01"
     assert healing.handle_unit(received(other, lost_before=1, timestamp=7))

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from pipelines.bench import cpu
 from pipelines.bench.cpu import CpuResult, CpuRun, headlines, read_run

@@ -14,7 +14,7 @@ def test_a_check_prints_its_metrics_and_list_names_the_simulated_one_and_its_fau
     report = json.loads(path.read_text())
     assert report["passed"] and report["virtual_time"]
     (check,) = report["checks"]
-    assert check["name"] == "workspace" and len(check["figures"]) == 4
+    assert check["name"] == "workspace" and len(check["metrics"]) == 4
     states = ["standby", "standby", "calibrated", "application"]
     assert [entry["after"] for entry in report["transitions"]] == states
     assert main(["joystick", "list"]) == 0

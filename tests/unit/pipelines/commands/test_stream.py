@@ -38,9 +38,9 @@ def test_a_robot_brings_its_own_cameras_unless_the_user_names_others(tmp_path, m
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "seeing_robot.py").write_text(
-        "from telepresence.haptics.robot import RobotCapabilities\n"
+        "from telepresence import RobotFacts\n"
         "class Arm:\n"
-        "    facts = RobotCapabilities(name='arm', sources={'head': 'own:Eye', 'tail': 'own:Eye'})\n",
+        "    facts = RobotFacts(name='arm', sources={'head': 'own:Eye', 'tail': 'own:Eye'})\n",
     )
     words = ["--setup", "spacejustin", "--robot", "seeing_robot:Arm"]
     assert chosen(*words).sources == {"head": "own:Eye"}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from places import ROOT
+from positions import ROOT
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import Coding

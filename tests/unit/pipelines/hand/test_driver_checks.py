@@ -317,8 +317,16 @@ def z_goes_on_when_it_is_switched_off(wrist):
 #: Faults in one line each: a class of devices, the check that fails, and what breaks one.
 SIMPLE_FAULTS = [
     # Its facts cannot be.
-    (Lever, "facts", lambda d: given(d, "facts", replace(d.capabilities, half_width_m=nan))),
-    (Mass, "facts", lambda d: given(d, "facts", replace(d.capabilities, half_height_m=-0.1))),
+    (
+        Lever,
+        "capabilities",
+        lambda d: given(d, "capabilities", replace(d.capabilities, half_width_m=nan)),
+    ),
+    (
+        Mass,
+        "capabilities",
+        lambda d: given(d, "capabilities", replace(d.capabilities, half_height_m=-0.1)),
+    ),
     # Its y axis has no motor; yaw or z have none.
     (Lever, "moves", lambda d: told(d, "write_force", lambda x_n, y_n: (x_n, 0.0))),
     (Arm, "yaw moves", lambda d: told(d, "write_more_forces", lambda one: ([one[0], 0.0],))),
@@ -336,7 +344,7 @@ SIMPLE_FAULTS = [
     # A measurement is missing at times.
     (Lever, "readings", seldom(vy_m_s=nan)),
     (Mass, "readings", seldom(y_m=nan)),
-    (Arm, "z readings", lambda d: read_axis(d, 0, lambda k: {"place": nan} if k == 100 else {})),
+    (Arm, "z readings", lambda d: read_axis(d, 0, lambda k: {"position": nan} if k == 100 else {})),
     (
         Wrist,
         "yaw readings",
@@ -350,7 +358,11 @@ SIMPLE_FAULTS = [
     (Lever, "readings", lambda d: read(d, jump)),
     # An axis says once that it is beyond its speed or its range.
     (Arm, "yaw readings", lambda d: read_axis(d, 1, lambda k: {"speed": 7.0} if k == 3200 else {})),
-    (Wrist, "z readings", lambda d: read_axis(d, 0, lambda k: {"place": 0.2} if k == 700 else {})),
+    (
+        Wrist,
+        "z readings",
+        lambda d: read_axis(d, 0, lambda k: {"position": 0.2} if k == 700 else {}),
+    ),
     # The dead-man button is pressed always, or for a moment.
     (Lever, "dead-man button", lambda d: read(d, lambda _, one: one._replace(dead_man=True))),
     (Lever, "dead-man button", lambda d: read(d, lambda k, one: one._replace(dead_man=k == 700))),
@@ -363,7 +375,7 @@ SIMPLE_FAULTS = [
     (Lever, "unplugged", lambda d: given(d, "close", lambda: given(d, "present", False))),
     (Lever, "unplugged", lambda d: given(d, "close", lambda: given(d, "read", lambda: 1 // 0))),
     # It does not stop by itself; without power it goes on.
-    (Alone, "silence", lambda d: given(d, "patience_ns", 10**12)),
+    (Alone, "silence", lambda d: given(d, "timeout_ns", 10**12)),
     (Mass, "power off", lambda d: given(d, "power_off", nothing)),
 ]
 #: It does not move; its axes are exchanged; its driver has a fault.

@@ -57,9 +57,9 @@ def ask(service, line):
 
 def test_an_order_stands_until_the_next_and_the_answer_says_who_drives():
     service = hand_topics.ControlArbiter()
-    answer = json.loads(ask(service, b'{"owner": "partner"}\n'))
+    answer = json.loads(ask(service, b'{"authority": "partner"}\n'))
     assert service.order is Authority.PARTNER
-    assert answer["ok"] and answer["wanted"] == "partner" and "owner" not in answer
+    assert answer["ok"] and answer["wanted"] == "partner" and "authority" not in answer
     ownership = ControlAuthority(None)
     ownership.handle_order(Authority.PARTNER, 0)
     for now_ns in (0, 10**9):
@@ -70,14 +70,14 @@ def test_an_order_stands_until_the_next_and_the_answer_says_who_drives():
         )
     )
     answer = json.loads(ask(service, b"{}\n"))
-    assert answer["owner"] == "partner" and answer["waiting"]
+    assert answer["authority"] == "partner" and answer["waiting"]
     assert service.order is Authority.PARTNER
 
 
 def test_an_unknown_owner_changes_nothing_and_garbage_gets_no_answer():
     service = hand_topics.ControlArbiter(Authority.PARTNER)
-    for authority in ("bob", 7, None, ["iss"], {"owner": "iss"}):
-        answer = json.loads(ask(service, json.dumps({"owner": authority}).encode() + b"\n"))
+    for authority in ("bob", 7, None, ["operator"], {"authority": "operator"}):
+        answer = json.loads(ask(service, json.dumps({"authority": authority}).encode() + b"\n"))
         assert not answer["ok"] and answer["mistake"]
         assert "take iss or partner" in answer["error"]
     for line in (b"\n", b"[" * 4000 + b"\n", b"\xff\n", b"", b"x" * 9000):

@@ -52,12 +52,12 @@ class Bench:
         self.start_partner(boot_id=4)
 
     def start_ground(self, *, boot_id, orders=None):
-        wanted = Authority.PARTNER if orders is not None and orders.board else Authority.ISS
+        wanted = Authority.PARTNER if orders is not None and orders.board else Authority.OPERATOR
         ownership = ControlAuthority(None, wanted=wanted)
         self.board = board = PartnerBoard(ownership)
         side = robot_side(SafetyEnvelope(), boot_id=boot_id, ownership=ownership)
         self.ours = RobotEnd(Probe(), side, board=board)
-        capabilities = {"life": boot_id, "tasks": False, "now_ns": self.now_ns}
+        capabilities = {"boot_id": boot_id, "tasks": False, "now_ns": self.now_ns}
         self.service = RobotCommands(self.ours.side, orders=orders, board=board, **capabilities)
 
     def start_partner(self, *, boot_id):

@@ -109,13 +109,14 @@ def test_each_press_of_stop_in_space_stops_whatever_was_released_on_the_ground(d
 
 @pytest.mark.rule("S6")
 @pytest.mark.parametrize(
-    ("owner", "other"), [(Authority.PARTNER, Authority.ISS), (Authority.ISS, Authority.PARTNER)]
+    ("authority", "other"),
+    [(Authority.PARTNER, Authority.OPERATOR), (Authority.OPERATOR, Authority.PARTNER)],
 )
 def test_a_stop_of_who_does_not_drive_is_obeyed_once_each_time_it_is_given(authority, other):
     envelope = SafetyEnvelope()
     ownership = ControlAuthority(authority, wanted=authority)
     robot = RobotEnd(Probe(), robot_side(envelope, boot_id=1, ownership=ownership))
-    sources = {Authority.ISS: robot.handle_datagram, Authority.PARTNER: robot.handle_partner}
+    sources = {Authority.OPERATOR: robot.handle_datagram, Authority.PARTNER: robot.handle_partner}
 
     def send(**changes):
         for number in range(3):

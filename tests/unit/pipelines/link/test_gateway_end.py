@@ -19,7 +19,7 @@ TABLE = topology_of(BUILT_IN["spacejustin"])
 
 
 def make_end(segment, *, radio_both_ways=False):
-    numbers = {"life": 1, "seed": 1, "epoch_ns": 0, "now_ns": 0, "first_ns": 0}
+    numbers = {"boot_id": 1, "seed": 1, "epoch_ns": 0, "now_ns": 0, "first_ns": 0}
     numbers |= {"secret": 1 + (segment is Segment.SPACE), "radio_both_ways": radio_both_ways}
     return GatewayEnd(TABLE, segment, Probe(), **numbers)
 

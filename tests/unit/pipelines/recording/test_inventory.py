@@ -2,7 +2,7 @@
 
 import pytest
 from mcap.records import Message
-from recordings import FACTS_OF_A_TEST, WALL_NS, Step, write
+from recordings import METADATA_OF_A_TEST, WALL_NS, Step, write
 
 from pipelines.recording.channels import channels_of
 from pipelines.recording.inventory import ChannelInventory, inventory_lines, take_inventory
@@ -40,7 +40,7 @@ def test_a_channel_counts_what_is_missing_and_its_longest_gap():
 
 def test_a_whole_recording():
     inventory = take_inventory(memoryview(WRITTEN.octets))
-    assert inventory.metadata == FACTS_OF_A_TEST
+    assert inventory.metadata == METADATA_OF_A_TEST
     first, second, *empty = inventory.channels
     assert first.topic == "/channel/0"
     assert first.schema == "foxglove.CompressedVideo"
@@ -75,7 +75,7 @@ def test_torn_and_damaged_recordings_say_how_to_mend_them_and_losses_are_the_new
     repaired = b"".join(Recovery(memoryview(octets[:-9])).pieces())
     assert state(repaired).startswith("fixed: ")
     stream = McapStream(library="kontur-av")
-    stream.handle_metadata(METADATA, FACTS_OF_A_TEST.items())
+    stream.handle_metadata(METADATA, METADATA_OF_A_TEST.items())
     (losses,) = (row for row in channels_of(SESSION) if row.topic == "/recorder/losses")
     stream.handle_channel(*losses.records())
     for dropped in (1, 5):

@@ -6,7 +6,7 @@ from hypothesis import given
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
-from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, channel, steps, write
+from recordings import LIBRARY, METADATA_OF_A_TEST, WALL_NS, channel, steps, write
 
 from pipelines.recording.mcap_stream import CHUNK_NS, CHUNK_OCTETS, McapStream
 from pipelines.recording.metadata import METADATA, RecordingMetadata, is_sealed
@@ -35,7 +35,7 @@ def test_the_plain_package_reads_what_was_written(script):
     (metadata,) = reader.iter_metadata()
     assert metadata.name == METADATA
     assert is_sealed(metadata.name, metadata.metadata)
-    assert RecordingMetadata.of(metadata.metadata) == FACTS_OF_A_TEST
+    assert RecordingMetadata.of(metadata.metadata) == METADATA_OF_A_TEST
 
     summary = reader.get_summary()
     assert {row.topic for row in summary.channels.values()} == {

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from recordings import FACTS_OF_A_TEST, LIBRARY, channel
+from recordings import LIBRARY, METADATA_OF_A_TEST, channel
 
 from kontur_av.errors import ConfigError
 from pipelines.recording.mcap_stream import McapStream
@@ -19,11 +19,11 @@ ROWS = 5
 
 def octets_of(part, **metadata):
     """Part `part` of a recording: as many messages, each in a chunk of its own."""
-    begin_ns = FACTS_OF_A_TEST.session_ns + part * PART_NS
-    offset_ns = FACTS_OF_A_TEST.wall_ns - FACTS_OF_A_TEST.session_ns
+    begin_ns = METADATA_OF_A_TEST.session_ns + part * PART_NS
+    offset_ns = METADATA_OF_A_TEST.wall_ns - METADATA_OF_A_TEST.session_ns
     changed = {"part": part, "session_ns": begin_ns, "wall_ns": begin_ns + offset_ns} | metadata
     stream = McapStream(library=LIBRARY)
-    stream.handle_metadata(METADATA, replace(FACTS_OF_A_TEST, **changed).items())
+    stream.handle_metadata(METADATA, replace(METADATA_OF_A_TEST, **changed).items())
     stream.handle_channel(*channel(0))
     for row in range(ROWS):
         at_ns, wall_ns = row * PART_NS // ROWS, begin_ns + offset_ns + row

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from synthetic_recording import FACTS_OF_SYNTHETIC, octets_of_part, wall_ns, write_recording
+from synthetic_recording import METADATA_OF_SYNTHETIC, octets_of_part, wall_ns, write_recording
 
 from kontur_av.errors import ProtocolError
 from pipelines.recording.channels import channels_of
@@ -33,7 +33,7 @@ def written(tmp_path_factory):
 
 def test_all_that_was_sent_comes_back_and_a_beginning_has_what_was_sent_until_then(written):
     session = session_of(memoryview(written.paths[0].read_bytes()))
-    assert session.metadata == FACTS_OF_SYNTHETIC
+    assert session.metadata == METADATA_OF_SYNTHETIC
     for name in ("uplink_video", "downlink_video"):
         coded = [(unit.capture_ns, unit.data, unit.key, "h264") for unit in written.units[name]]
         assert session.pictures[name] == coded
@@ -44,7 +44,7 @@ def test_all_that_was_sent_comes_back_and_a_beginning_has_what_was_sent_until_th
     assert [packet.sent_ns for packet in session.packets["telecommand"]] == [
         told.log_ns for told in written.told["/telecommand/space/sent"]
     ]
-    assert session.instants_ns[0] == FACTS_OF_SYNTHETIC.session_ns
+    assert session.instants_ns[0] == METADATA_OF_SYNTHETIC.session_ns
     assert "/uplink_video/sent" not in session.missing
     begin = session.begin(1.0)
     first_ns = session.instants_ns[0]
@@ -59,7 +59,7 @@ def test_all_that_was_sent_comes_back_and_a_beginning_has_what_was_sent_until_th
 
 
 def part_of(told):
-    return memoryview(octets_of_part(ROWS, FACTS_OF_SYNTHETIC, told, True))
+    return memoryview(octets_of_part(ROWS, METADATA_OF_SYNTHETIC, told, True))
 
 
 def test_what_the_recorder_put_ahead_of_a_part_is_left_out(written):
@@ -98,7 +98,7 @@ def test_cycles_without_a_sample_are_gaps_and_packets_are_also_read_by_older_nam
     old = "/telecommand/sent"
     rows = [replace(one, topic=old) if one.topic == command.topic else one for one in ROWS]
     told = [replace(one, topic=old) for one in (report, command)]
-    older = session_of(memoryview(octets_of_part(rows, FACTS_OF_SYNTHETIC, told, True)))
+    older = session_of(memoryview(octets_of_part(rows, METADATA_OF_SYNTHETIC, told, True)))
     newer = session_of(part_of([report, command]))
     assert newer.packets == older.packets
     assert len(newer.packets["telecommand"]) == 2

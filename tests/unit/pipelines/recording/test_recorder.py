@@ -53,7 +53,7 @@ TOPOLOGY = topology_of(SETUP, recorder=True)
 OFFSET_NS = 1_800_000_000 * NS_PER_S
 SENT, ROBOT = "sent/uplink_video", "haptic/robot"
 SOURCES = {source.topic: source for source in sources_of(TOPOLOGY)}
-FACTS_OF_TEST = RecordingMetadata(
+METADATA_OF_TEST = RecordingMetadata(
     session="test",
     setup=SETUP.name,
     setup_toml=setup_toml(SETUP),
@@ -70,7 +70,7 @@ class Disk:
     """Drives a recorder as its process does; `files` is what a disk would hold."""
 
     def __init__(self, topology=TOPOLOGY, **options):
-        self.recorder = Recorder(topology, FACTS_OF_TEST, wall_offset_ns=OFFSET_NS, **options)
+        self.recorder = Recorder(topology, METADATA_OF_TEST, wall_offset_ns=OFFSET_NS, **options)
         self.files = {}
         self.full = False
         #: Whether key pictures are made at once.
@@ -443,7 +443,7 @@ def test_sounds_packets_metrics_and_frames_are_recorded_as_they_were():
     disk = Disk(link_frames=True)
     disk.pump(0)
     sources = {source.topic: source for source in sources_of(TOPOLOGY, link_frames=True)}
-    numbers = {"life": 1, "secret": 1, "seed": 1, "epoch_ns": 0, "now_ns": 0, "first_ns": 0}
+    numbers = {"boot_id": 1, "secret": 1, "seed": 1, "epoch_ns": 0, "now_ns": 0, "first_ns": 0}
     gateway = GatewayEnd(TOPOLOGY, Segment.GROUND, Probe(), **numbers).gateway
     gateway.frames_sent = []
     for number in range(3):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, DataEnd, Footer, Metadata
 from mcap.writer import CompressionType, Writer
-from recordings import FACTS_OF_A_TEST, LIBRARY, WALL_NS, Step, scanned, steps, write
+from recordings import LIBRARY, METADATA_OF_A_TEST, WALL_NS, Step, scanned, steps, write
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
@@ -27,7 +27,7 @@ def test_a_whole_file_is_sound(script):
     written = write(script)
     scan, found, (metadata,) = scanned(written.octets)
     assert found == [message.read() for message in written.told]
-    assert RecordingMetadata.of(metadata.metadata) == FACTS_OF_A_TEST
+    assert RecordingMetadata.of(metadata.metadata) == METADATA_OF_A_TEST
     assert scan.header.library == LIBRARY
     assert scan.ours
     assert scan.formats == {"1"}
@@ -129,7 +129,7 @@ def test_a_mended_file_has_all_that_could_be_read(script, share):
     scan, again, (metadata, note) = scanned(repaired)
     assert again == found
     assert scan.metrics.sound
-    assert RecordingMetadata.of(metadata.metadata) == FACTS_OF_A_TEST
+    assert RecordingMetadata.of(metadata.metadata) == METADATA_OF_A_TEST
     assert note.name == REPAIRED
     assert note.metadata["unread_octets"] == str(recovery.metrics.unread_octets)
     assert Recovery(memoryview(repaired)).metrics.sound
@@ -188,7 +188,7 @@ def channel_of(topic, version="1"):
 
 
 @pytest.mark.rule("7")
-@pytest.mark.parametrize(("version", "facts"), [("1", {"format": "2"}), ("2", None)])
+@pytest.mark.parametrize(("version", "metadata"), [("1", {"format": "2"}), ("2", None)])
 def test_a_newer_format_is_refused(version, metadata):
     newer = memoryview(begun(channel_of("/1", version), metadata=metadata))
     with pytest.raises(ProtocolError, match=r"it has format 2, .* reads up to format 1"):

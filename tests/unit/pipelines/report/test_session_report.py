@@ -84,7 +84,7 @@ def test_the_report_contains_the_counts():
 
 
 @pytest.mark.parametrize(
-    ("figures", "seconds", "found"),
+    ("metrics", "seconds", "found"),
     [
         ({"octets_a_packet": 376}, 5.0, ["uplink_video: 90240 bit/s"]),
         ({"octets_a_packet": 375}, 5.0, []),
@@ -165,7 +165,7 @@ def test_every_count_of_a_process_is_reported():
     collector.process("robot").handle_end()
     collector.handle_message("robot", message(CaptureMetrics(captured=1)), NS_PER_S)
     entry = report_of(collector).processes["robot"]
-    found = [entry.counts[name] for name in ("captured", "source_faults", "strangers_radio")]
+    found = [entry.counts[name] for name in ("captured", "source_faults", "unknown_senders_radio")]
     assert found == [101, 2, 3]
     assert {"strangers_haptic", "left_out"}.isdisjoint(entry.counts), "none, and no such counter"
     assert (entry.newest["jitter_ns"], entry.scheduler) == (7, "fifo")

@@ -75,7 +75,7 @@ SPACE, GROUND = (Segment.SPACE,), (Segment.GROUND,)
 
 
 @pytest.mark.parametrize(
-    ("options", "process", "figures", "runs"),
+    ("options", "process", "metrics", "runs"),
     [
         ({}, "tasks", task("open"), "aiming, run 2"),
         ({}, "tasks", task("finished"), ""),

@@ -349,7 +349,7 @@ def test_a_seat_shows_what_the_robot_answered_and_releases_it_across_the_radio(s
             ("", {"stopped": True, "stopped_by": "a telecommand"}, (True, True, "a telecommand")),
             ("", {}, (False, False, "")),
         ):
-            kept = {"life": 1, "powered": True, "mode": "telepresence"}
+            kept = {"boot_id": 1, "powered": True, "mode": "telepresence"}
             robot = RobotStatus(**kept, x_m=0.0, y_m=0.0, push_n=0.0, **status)
             room.seat.handle_shown("robot", robot)
             room.seat.handle_stop(bool(ordered), ordered, 0)

@@ -19,8 +19,8 @@ THEIRS = pack_feedback(1, Feedback(0.0, 0.0, 0, False))
 
 def test_an_order_that_is_given_again_changes_nothing_and_rest_is_needed():
     ownership = ControlAuthority()
-    ownership.handle_order(Authority.ISS, 0)
-    assert ownership.authority is Authority.ISS and ownership.report().events == ()
+    ownership.handle_order(Authority.OPERATOR, 0)
+    assert ownership.authority is Authority.OPERATOR and ownership.report().events == ()
     ownership.handle_order(Authority.PARTNER, 0)
     for ms in range(1000):
         assert not ownership.handle_robot(0.0051, ms * MS)
@@ -31,14 +31,17 @@ def test_an_order_that_is_given_again_changes_nothing_and_rest_is_needed():
     assert (metrics.authority, metrics.turns) == (Authority.PARTNER, 1)
     assert [event.what for event in metrics.events] == ["handing over to partner", "partner drives"]
     # While nobody drives, an order changes who will, and rest goes on.
-    ownership.handle_order(Authority.ISS, 2000 * MS)
+    ownership.handle_order(Authority.OPERATOR, 2000 * MS)
     for ms in range(2000, 2200):
         ownership.handle_robot(0.0, ms * MS)
     ownership.handle_order(Authority.PARTNER, 2200 * MS)
     found = [ms for ms in range(2200, 2500) if ownership.handle_robot(0.0, ms * MS)]
     assert found == [2300] and ownership.authority is Authority.PARTNER
-    assert (ownership.takes(Authority.PARTNER), ownership.takes(Authority.ISS)) == (True, False)
-    assert ownership.report().refused == {"partner": 0, "iss": 1}
+    assert (ownership.takes(Authority.PARTNER), ownership.takes(Authority.OPERATOR)) == (
+        True,
+        False,
+    )
+    assert ownership.report().refused == {"partner": 0, "operator": 1}
 
 
 def rest(board, now_ns):
@@ -60,7 +63,7 @@ def test_a_joystick_drives_one_of_two_robots():
     # The first request for the other ends what was; the samples of neither are taken meanwhile.
     assert not board.handle_joystick(asks[1], MS) and board.left_out
     assert not board.handle_joystick(OURS, MS) and board.poll_partner(stopped=False) is None
-    assert board.ownership.report().refused == {"iss": 2, "partner": 0}
+    assert board.ownership.report().refused == {"operator": 2, "partner": 0}
     now_ns = rest(board, MS)
     assert board.left_out and board.ownership.authority is Authority.PARTNER
     for data in (asks[1], OURS):

@@ -187,11 +187,12 @@ def test_what_a_driver_raises_is_the_robots_error_and_never_ends_the_session(cal
 
 
 @pytest.mark.parametrize(
-    ("call", "returns"), [("read", None), ("read", "nonsense"), ("power_on", None), ("facts", {})]
+    ("call", "returns"),
+    [("read", None), ("read", "nonsense"), ("power_on", None), ("capabilities", {})],
 )
 def test_a_driver_that_does_not_come_up_is_refused_and_left_without_power(call, returns):
     arm = Arm()
-    if call == "facts":
+    if call == "capabilities":
         arm.capabilities = returns
         failing = arm
     else:
@@ -199,7 +200,7 @@ def test_a_driver_that_does_not_come_up_is_refused_and_left_without_power(call, 
     with pytest.raises(ConfigError, match=r"^(read|power_on)\(\) |^facts "):
         DrivenRobot(failing)
     assert "activate" not in arm.calls
-    assert arm.calls[-1] == ("configure" if call == "facts" else "power_off")
+    assert arm.calls[-1] == ("configure" if call == "capabilities" else "power_off")
 
 
 def test_power_that_cannot_be_taken_is_said():

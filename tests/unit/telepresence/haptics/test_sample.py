@@ -83,7 +83,7 @@ def test_bits_are_where_the_table_says():
 
 
 @pytest.mark.parametrize(
-    ("places", "counted"),
+    ("positions", "counted"),
     [
         ((0.65534, -0.65534), (32767, -32767, 0)),
         ((0.655345, 0.0), (32767, 0, 0)),

@@ -110,7 +110,7 @@ def test_readings_that_are_held_back_do_not_keep_a_session_alive(line):
         ({"handle": lambda data: [bytes([1, 2, 2, 0]) + bytes(90)]}, "another key"),
         ({"axes": 3}, "3 axes, 2 are due"),
         ({"takes": 2}, "another form"),
-        ({"facts": bytes(30)}, "facts that no device has"),
+        ({"capabilities": bytes(30)}, "facts that no device has"),
     ],
 )
 def test_a_controller_that_does_not_fit_is_refused_with_its_reason(change, problem):

@@ -1,6 +1,6 @@
 """Two gateways with a radio between them: what they deliver, and what they take for a signal.
 
-An unknown sender knows the format, the configuration and old frames, but does not read what the two ends
+An intruder knows the format, the configuration and old frames, but does not read what the ends
 send now.
 """
 
@@ -406,7 +406,7 @@ def test_a_real_restart_takes_a_round_trip_more(side, strange):
 
 
 def test_a_peer_whose_delay_falls_is_followed_again_after_a_round_trip():
-    """Its frames come before their time, as those of an unknown sender that guesses counts would."""
+    """Its frames come before their time, as those of an intruder that guesses counts would."""
     one = Session(delay_ms=400).run(3000)
     one.shut(*SIDES)
     one.run(500)

@@ -138,9 +138,13 @@ def test_other_octets_are_refused(octets):
         (k2aci.TaskSelected, {"start_um": (0, -1_000_001)}, "up to ±1000000"),
         (k2aci.TaskSelected, {"start_um": (0, 0.5)}, "up to ±1000000"),
         (k2aci.TaskProgress, {"goal": k2aci.TaskGoal.CIRCLE}, "a spot needs the time of a turn"),
-        (Numbered, {"life": 0, "number": 1, "oldest": 2, "message": START}, "2 is above the num"),
-        (k2aci.K2aciEndpoint, {"life": -1}, "life is -1"),
-        (k2aci.K2aciEndpoint, {"life": 0, "timeout_ns": 0}, "timeout above 0"),
+        (
+            Numbered,
+            {"boot_id": 0, "number": 1, "oldest": 2, "message": START},
+            "2 is above the num",
+        ),
+        (k2aci.K2aciEndpoint, {"boot_id": -1}, "boot_id is -1"),
+        (k2aci.K2aciEndpoint, {"boot_id": 0, "timeout_ns": 0}, "timeout above 0"),
     ],
 )
 def test_unfit_fields_are_refused_with_what_fits(kind, fields, line):

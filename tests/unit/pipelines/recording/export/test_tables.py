@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic_recording import (
     BEGIN_NS,
-    FACTS_OF_SYNTHETIC,
     LINK_CYCLES,
+    METADATA_OF_SYNTHETIC,
     MS,
     Coded,
     S,
@@ -201,10 +201,10 @@ def test_messages_of_any_wall_time_that_a_file_can_hold_are_in_the_tables(monkey
     units = [Coded(number, number * 10 * MS, b"\0\0\0\1", False, 8, 8) for number in range(9)]
     monkeypatch.setattr("synthetic_recording.wall_ns", lambda at_ns: at_ns + first_ns)
     told = [picture("/camera/head", unit, unit.number, 0) for unit in units]
-    octets = octets_of_part(rows, FACTS_OF_SYNTHETIC, told, end=True)
+    octets = octets_of_part(rows, METADATA_OF_SYNTHETIC, told, end=True)
     with pytest.MonkeyPatch.context() as without:
         # Its facts are lost.
-        without.setattr("pipelines.recording.inventory.FACTS", "none")
+        without.setattr("pipelines.recording.inventory.METADATA", "none")
         recording = JoinedRecording(parts=[read_part(memoryview(octets))])
     collector = TableCollector(recording.begin_ns)
     for message in recording.messages():

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from pipelines.cli import main
 from pipelines.session.setup.segments import Segment

@@ -171,7 +171,7 @@ def test_a_stick_tests_itself_while_the_dead_man_button_is_held(ignores, outcome
         assert 10_000 <= len(wanted) <= 10_010
 
 
-@pytest.mark.parametrize(("after_ms", "figures"), [(0, 0), (500, 4)])
+@pytest.mark.parametrize(("after_ms", "metrics"), [(0, 0), (500, 4)])
 def test_a_dead_man_button_that_stays_pressed_fails_the_test(after_ms, metrics):
     person = Person()
     person.dead_man = after_ms == 0

@@ -385,7 +385,7 @@ def test_a_stick_is_calibrated_where_it_rests():
 
 
 @pytest.mark.parametrize(
-    ("place", "axis", "problem"),
+    ("position", "axis", "problem"),
     [
         # It rests within 15 % of its travel, and moves by at most 5 %.
         (lambda ms: 0.0149, 0, False),

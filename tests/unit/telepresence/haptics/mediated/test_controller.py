@@ -15,7 +15,7 @@ WALL = Wall(0.0, 0.06, 1500.0)
 
 
 def steps(renderer, positions, *, felt=True):
-    """Forces along x at `positions`, one a millisecond; the largest change must be within bounds."""
+    """Forces along x at `positions`, one a millisecond; the largest change is within bounds."""
     forces = []
     for x_m in positions:
         before = renderer.force_n[0]

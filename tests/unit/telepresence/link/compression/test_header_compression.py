@@ -161,7 +161,7 @@ def test_contexts_that_an_acknowledgement_shows_as_lost_make_room_for_others():
         assert (compressor.compress(packet, count)[0] >= KIND_BARE) == believed
 
 
-@pytest.mark.parametrize(("heard", "life"), [(True, LIFE_SLOTS), (False, FLEETING_SLOTS)])
+@pytest.mark.parametrize(("heard", "boot_id"), [(True, LIFE_SLOTS), (False, FLEETING_SLOTS)])
 def test_a_context_expires_at_the_receiver(heard, life):
     compressor, decompressor = RtpCompressor(VOICE, SLOT_NS), RtpDecompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=heard)

@@ -1,4 +1,4 @@
-"""Two protected channels on virtual time: what the path and unknown senders do costs no genuine frame."""
+"""Two protected channels on virtual time: what path and intruders do costs no genuine frame."""
 
 from itertools import pairwise
 

@@ -5,7 +5,7 @@ import tomllib
 from dataclasses import fields
 
 import pytest
-from places import ROOT
+from positions import ROOT
 
 from kontur_av.errors import ConfigError
 from telepresence.link.radio import RadioProfile, load_radio

@@ -72,7 +72,7 @@ def message(**changes):
         "application": False,
         "fresh": True,
         "sending": False,
-        "life": 0x0102,
+        "boot_id": 0x0102,
         "heard": 0x0304,
         "digest": 0x0506,
         "contexts": (7, 8, 9, 10),

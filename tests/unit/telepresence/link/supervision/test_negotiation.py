@@ -33,7 +33,7 @@ def from_peer(of, **changes):
         "application": False,
         "fresh": True,
         "sending": False,
-        "life": 5,
+        "boot_id": 5,
         "heard": 9,
         "digest": of.digest,
     }

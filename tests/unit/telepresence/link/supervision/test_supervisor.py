@@ -1,4 +1,4 @@
-"""How two ends find each other, what they send, and what losses, restarts and unknown senders change."""
+"""How two ends find each other, what they send, and what losses, restarts and intruders change."""
 
 from dataclasses import replace
 from itertools import pairwise

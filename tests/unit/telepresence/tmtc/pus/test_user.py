@@ -255,7 +255,7 @@ def test_unknown_names_and_unfit_values_are_refused():
 @given(there=FATES, back=FATES, restart=st.integers(0, 60))
 def test_a_telecommand_is_carried_out_once_or_its_failure_is_reported(there, back, restart):
     table = built_in_dictionary().application("tasks")
-    timing = {"timeout_ns": 100 * MS, "patience_ns": 4 * S}
+    timing = {"timeout_ns": 100 * MS, "give_up_ns": 4 * S}
     user = PusUser(built_in_dictionary(), source=1, first_count=7, **timing)
     application = PusApplication(table, now_ns=0)
     up, down = LossyPath(there), LossyPath(back)

@@ -6,8 +6,9 @@ import time
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.hand.hand_topics import ARM_SOCKET, OWNERS, AuthorityAnswer, AuthorityRequest
+from pipelines.hand.hand_topics import ARM_SOCKET, AUTHORITIES, AuthorityAnswer, AuthorityRequest
 from pipelines.session.option_rows import add_options
+from pipelines.session.setup.former_names import DRIVERS, current
 from pipelines.session.terminals import running_sessions, send_request
 
 #: How long a hand-over may take: the robot comes to rest first.
@@ -20,15 +21,16 @@ _MISSING = (
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, f"owner {'|'.join(OWNERS)} <?=>  hand the robot over", "--session")
+    add_options(parser, f"authority {'|'.join(AUTHORITIES)} <?=>  hand the robot over", "--session")
     parser.description = (
-        "Hand the robot over to the joystick in space (iss) or to a partner's. "
-        "Without an owner, say who drives."
+        "Hand the robot over to the operator's joystick or to a partner's. "
+        "Without a name, say who drives."
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once the wanted owner drives; 1 without an answer, or if the robot does not rest."""
+    """0 once the wanted one drives; 1 without an answer, or if the robot does not rest."""
+    args.authority = current(args.authority or "", DRIVERS)
     running = running_sessions(ARM_SOCKET)
     session = acting_on(args.session, running, moves=bool(args.authority)) if running else None
     answer = _ask(args.authority, session)

@@ -17,7 +17,7 @@ def run_control_arbiter(context: Context) -> None:
     make_session_root(context.session)
     remembered = session_root(context.session) / "owner"
     known = remembered.read_text("ascii") if remembered.exists() else ""
-    known = known or Authority.ISS.value
+    known = known or Authority.OPERATOR.value
     service = ControlArbiter(Authority(known))
     with context.open_bus() as bus:
         writer = NumberedTopic(bus, ARM_ORDER_TOPIC, max_octets=ARM_ORDER_OCTETS)
