@@ -1,6 +1,6 @@
 """The processes of PUS in space and on the ground, console and selector, and of users' components.
 
-`TmtcEnd` decides. This module carries octets between it, the topics of its segment and the radio.
+`TmtcSegment` decides. Here octets are carried between it, the topics of its segment and the radio.
 The selector reads no pictures. A choice is kept in a file, then published, and its telecommand is
 completed when the sender has confirmed it.
 
@@ -23,8 +23,6 @@ from pipelines.link.link_metrics import unpack_link
 from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.component_service import ComponentService
-from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
-from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import (
     MAX_NEWS_OCTETS,
     FunctionAsked,
@@ -32,8 +30,8 @@ from pipelines.mission.tmtc_messages import (
     pack_news,
     unpack_news,
 )
+from pipelines.mission.tmtc_segment import TmtcSegment
 from pipelines.mission.tmtc_socket import TmtcSocket, send_to_tmtc, write_dictionary
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import (
     MISSION_OCTETS,
@@ -110,34 +108,29 @@ class TmtcServer:
     ) -> None:
         clock = context.clock
         now_ns = clock.now_ns()
-        dictionary = session_dictionary(built_in_dictionary(), context.topology)
-        self.end = TmtcEnd(
+        self._tmtc = tmtc = TmtcSegment(
             segment,
-            dictionary,
+            context.topology,
+            built_in_dictionary(),
             now_ns=now_ns,
+            first_number=now_ns,
             first_count=secrets.randbelow(COUNT_MODULUS),
             boot_id=(now_ns + clock.wall_offset_ns) // NS_PER_S,
             epoch_ns=clock.wall_offset_ns,
-            delay_ns=context.setup.radio_profile.longest_delay_ns,
         )
+        self.end = tmtc.end
         self._send, self._ask, self._context = send, ask, context
-        self._supervisor = ProcessSupervisor(segment, context.topology)
         self._packets = _PacketTopics(bus, segment)
         news = TMTC_TOPICS[segment]
         self._news = NumberedTopic(bus, news, max_octets=MAX_NEWS_OCTETS, wake=True)
-        gateway = GatewaySource(self.end, f"{segment.value}_gateway")
 
         def take_link(octets: bytes, now_ns: int) -> None:
-            gateway.handle_values(unpack_link(octets), now_ns)
+            tmtc.gateway.handle_values(unpack_link(octets), now_ns)
 
         self._topics: list[tuple[Reader, Take]] = [
             (bus.reader(link_state_topic(segment)), take_link)
         ]
-        #: Turns what an application is asked for into a request to its process; None: not its.
-        self._request: Callable[[FunctionAsked, int], bytes | None]
-        if segment is Segment.SPACE:
-            joystick = JoystickSource(self.end, first_number=now_ns)
-            self._request = joystick.handle_asked
+        if (joystick := tmtc.joystick) is not None:
             commands, octets = JOYSTICK_COMMAND_TOPIC, REQUEST_OCTETS
 
             def take_joystick(octets: bytes, now_ns: int) -> None:
@@ -146,12 +139,8 @@ class TmtcServer:
                     joystick.handle_status(status, now_ns)
 
             self._topics.append((bus.reader(JOYSTICK_STATE_TOPIC, depth=_STATES), take_joystick))
-        else:
-            robot = RobotSource(self.end, first_number=now_ns)
-
-            def ask_robot(asked: FunctionAsked, _now_ns: int) -> bytes | None:
-                command = robot.handle_asked(asked)
-                return None if command is None else pack(command)
+        elif (robot := tmtc.robot) is not None:
+            commands, octets = ROBOT_COMMAND_TOPIC, MISSION_OCTETS
 
             def take_robot(octets: bytes, now_ns: int) -> None:
                 robot.handle_state(unpack_state(octets), now_ns)
@@ -159,13 +148,11 @@ class TmtcServer:
             def take_status(octets: bytes, now_ns: int) -> None:
                 robot.handle_status(unpack(RobotStatus, octets), now_ns)
 
-            self._request = ask_robot
-            commands, octets = ROBOT_COMMAND_TOPIC, MISSION_OCTETS
             self._topics.append((bus.reader(ROBOT_TOPIC), take_robot))
             self._topics.append((bus.reader(ROBOT_STATUS_TOPIC, depth=_STATES), take_status))
         self._commands = NumberedTopic(bus, commands, max_octets=octets, wake=True)
         make_session_root(context.session)
-        write_dictionary(context.session, dictionary)
+        write_dictionary(context.session, tmtc.dictionary)
         self._requests = TmtcSocket(context.session, segment)
         context.on_flush(lambda: self.end.publish(context.probe))
 
@@ -181,31 +168,29 @@ class TmtcServer:
 
     def work(self, now_ns: int) -> None:
         """Take requests and parameters over, send packets, publish news."""
-        end = self.end
+        end, tmtc = self.end, self._tmtc
         for reader, take in self._topics:
             while (octets := reader.next_octets()) is not None:
                 take(octets, now_ns)
         while (request := self._requests.receive()) is not None:
             end.handle_octets(request, now_ns)
         while (told := self._context.receive_metrics()) is not None:
-            self._supervisor.handle_told(_STATES_TOLD.decode(told), now_ns)
-        while (done := self._supervisor.next_event()) is not None:
-            end.handle_request(done, now_ns)
+            tmtc.handle_processes(_STATES_TOLD.decode(told), now_ns)
         while (packet := end.poll_transmit(now_ns)) is not None:
             self._send(packet)
             self._packets.publish(packet, "sent", now_ns)
         while (packet := end.next_local()) is not None:
             self._packets.publish(packet, "local", now_ns)
-        while (news := end.next_event()) is not None:
+        while (event := tmtc.next_event(now_ns)) is not None:
+            news, command = event
             if isinstance(news, FunctionAsked):
                 self._ask(news)
-                self._supervisor.handle_asked(news)
-                while (order := self._supervisor.poll_transmit()) is not None:
-                    self._context.order(order, now_ns)
-                asked = self._request(news, now_ns)
-                if asked is not None:
-                    self._commands.publish_octets(asked, now_ns)
+            if command is not None:
+                octets = command if isinstance(command, bytes) else pack(command)
+                self._commands.publish_octets(octets, now_ns)
             self._news.publish_octets(pack_news(news), now_ns)
+        while (order := tmtc.poll_order()) is not None:
+            self._context.order(order, now_ns)
 
     def wait_ns(self, now_ns: int, most_ns: int) -> int:
         """How long nothing has to be done without a request or a packet, at most `most_ns`."""

@@ -180,8 +180,15 @@ class Microphone(_Input):
 class Stereo:
     """Pairs the pictures of the two cameras. Drawing comes later, when a pair is encoded."""
 
-    def __init__(self, scene: Scene, fps: int, show: ShowPicture) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        fps: int,
+        show: ShowPicture,
+        on_halves: Sequence[Callable[[int], None]] = (),
+    ) -> None:
         self._pairer = StereoPairer(period_ns=NS_PER_S // fps)
+        self._on_halves = on_halves
         self._agenda, self._show = scene.agenda, show
         merged = scene.topology.topic(scene.topology.camera(STEREO).topic)
         self._probe = scene.telling.probe(merged.writer)
@@ -204,6 +211,8 @@ class Stereo:
 
     def _give(self, now_ns: int) -> None:
         while (pair := self._pairer.next_event()) is not None:
+            for call in self._on_halves:
+                call(pair.oldest_ns)
             self._show(Paired(pair, now_ns), pair.stamp, now_ns)
 
     def publish(self) -> None:
@@ -224,6 +233,8 @@ class Media:
         self.backlogs: dict[str, Callable[[Backlog, int], None]] = {}
         self._scene = scene
         self._on_confirmed = on_confirmed
+        #: Called with the instant of capture of the older half of each merged picture.
+        self.on_halves: list[Callable[[int], None]] = []
         self._voice_receivers: list[VoiceReceiveProcess] = []
         self.video_receivers: dict[str, VideoReceiveProcess] = {}
         #: By display.
@@ -269,7 +280,7 @@ class Media:
 
         stereo = None
         if STEREO in setup.cameras:
-            stereo = Stereo(self._scene, stream.fps, partial(select, STEREO))
+            stereo = Stereo(self._scene, stream.fps, partial(select, STEREO), self.on_halves)
 
         def show(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
             if stereo is not None and camera in STEREO_INPUTS:

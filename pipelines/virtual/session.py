@@ -15,10 +15,11 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.hand.haptic_loop import SELDOM
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.replaying import ReplayedEnd
 from pipelines.hand.robot_commands import RobotCommands
-from pipelines.hand.safety_ends import CameraWatch, within
+from pipelines.hand.safety_ends import OperatorView, within
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
 from pipelines.media.media_metrics import CodingCosts
@@ -29,18 +30,19 @@ from pipelines.report.model import SessionReport, SimulationReport
 from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
 from pipelines.session.probe import FLUSH_NS
-from pipelines.session.setup.table import STEREO, Setup
+from pipelines.session.setup.table import Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
+from pipelines.virtual.hands import JoystickSeldom, RobotSeldom
 from pipelines.virtual.media import Media
-from pipelines.virtual.streams import Consumer
 from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc
+from pipelines.virtual.streams import Consumer
 from pipelines.virtual.workers import FAR_NS, Agenda, Scene, Telling, Timer, Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
-from telepresence.haptics.envelope import Hold, SafetyEnvelope
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.robot import Robot
@@ -126,6 +128,8 @@ class Simulation:
         self._epoch_ns = epoch_ns
         self.start_ns = self._now_ns = self._next_slot_ns = start_ns
         self._state: WorldState | None = None
+        #: Cycles until what is rare.
+        self._wait = SELDOM
         #: What waits for the next haptic cycle.
         self._samples_up: list[bytes] = []
         self._samples_down: list[bytes] = []
@@ -153,23 +157,12 @@ class Simulation:
         self._robot, self._joystick = self._make_ends()
         telling.add(self._robot.publish)
         telling.add(self._joystick.publish)
-        #: None while a recording drives the robot.
-        self.robot_commands: RobotCommands | None = None
-        self._watch: CameraWatch | None = None
-        if isinstance(self._robot, RobotEnd):
-            envelope = self._robot.envelope
-            self._watch = CameraWatch(STEREO, 0, lambda: envelope.require_press(Hold.CAMERA))
-            boot_id = self._boot_id(self.topology.haptic("up").sender)
-            self.robot_commands = RobotCommands(
-                self._robot.side, boot_id=boot_id, tasks=plan is not None, now_ns=start_ns
-            )
         ground_probe, space_probe = self._probe(telemetry.sender), self._probe(telemetry.receiver)
         self._choice = CameraChoice(setup.cameras, ground_probe, now_ns=start_ns)
         telling.add(self._choice.publish)
         end = self._joystick
         self.tmtc = tmtc = SimulatedTmtc(
             scene,
-            robot=self.robot_commands,
             handle=end.side.handle if isinstance(end, JoystickEnd) else None,
             silent=self._recorded,
         )
@@ -191,12 +184,41 @@ class Simulation:
         self.files = SimulatedFiles(scene) if files else None
         if self.files is not None:
             self._consumers.update(self.files.consumers)
+        #: None while a recording drives the robot.
+        self.robot_commands: RobotCommands | None = None
+        self._robot_seldom: RobotSeldom | None = None
+        #: What the loops of robot and joystick do every few cycles.
+        self._seldom: list[Callable[[int], None]] = []
+        if isinstance(self._robot, RobotEnd):
+            boot_id = self._boot_id(self.topology.haptic("up").sender)
+            self.robot_commands = RobotCommands(
+                self._robot.side, boot_id=boot_id, tasks=plan is not None, now_ns=start_ns
+            )
+            self._robot_seldom = seldom = RobotSeldom(
+                setup,
+                self._robot,
+                self.robot_commands,
+                tmtc.robot_commands,
+                tmtc.handle_status,
+                now_ns=start_ns,
+            )
+            self._seldom.append(seldom.handle_time)
+            if self._media is not None:
+                self._media.on_halves.append(seldom.handle_halves)
+        if isinstance(end, JoystickEnd):
+            view = None
+            if self._media is not None:
+                view = OperatorView(setup)
+                shown = self._media.video_receivers[setup.uplink_video.name].on_shown
+                shown.append(view.handle_shown)
+            follower = JoystickSeldom(end, tmtc.joystick_commands, tmtc.handle_status, view=view)
+            self._seldom.append(follower.handle_time)
         self._work_choice(start_ns)
         agenda.at(start_ns + FLUSH_NS, self._flush)
         self.mission = None if plan is None else self._make_mission(*plan)
 
     def _make_mission(self, plan: SessionPlan, catalogue: Catalogue) -> SimulatedMission:
-        robot, joystick, cosmonaut = self.robot_commands, self._joystick, self._cosmonaut
+        robot, joystick, cosmonaut = self._robot_seldom, self._joystick, self._cosmonaut
         assert robot is not None and isinstance(joystick, JoystickEnd) and cosmonaut is not None
         return SimulatedMission(
             plan,
@@ -228,6 +250,7 @@ class Simulation:
         poll_wall = robot.poll_wall if isinstance(robot, RobotEnd) and self._mediated else None
         see = self._sight()
         half_ns = CYCLE_NS // 2
+        seldom = self._seldom
         slot_ns = self._next_slot_ns
         while slot_ns < until_ns:
             advance(slot_ns)
@@ -259,6 +282,11 @@ class Simulation:
                 self._state = state
                 if see is not None:
                     see(state.x_m, state.y_m)
+            self._wait -= 1
+            if not self._wait:
+                self._wait = SELDOM
+                for look in seldom:
+                    look(now_ns)
             slot_ns += CYCLE_NS
         self._next_slot_ns = slot_ns
         advance(until_ns)
@@ -458,8 +486,8 @@ class Simulation:
         self._choice_timer.set(self._choice.poll_timeout(), now_ns)
 
     def _follow(self, choice: Choice, now_ns: int) -> None:
-        if self._watch is not None:
-            self._watch.handle_choice(choice.camera)
+        if self._robot_seldom is not None:
+            self._robot_seldom.camera = choice.camera
         if self._media is None:
             self._choice.handle_confirmed(choice.number)
         else:
