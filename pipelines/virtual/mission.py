@@ -398,13 +398,16 @@ class SimulatedFiles:
 
     def _do(self, directory: dict[str, bytes], job: DirectoryJob) -> tuple[str, bytes]:
         if job.kind == LIST:
-            return "", "\n".join(sorted(directory)).encode()
+            lines = (f"{len(octets):>10} {name}\n" for name, octets in sorted(directory.items()))
+            return "", "".join(lines).encode()
         name = job.first
         if job.kind == STORE:
             directory[name] = job.octets
             return "", b""
         if name not in directory:
-            return "no such file", b""
+            return f"{name}: no such file", b""
+        if job.kind == RENAME and job.second in directory:
+            return f"{job.second}: is there already", b""
         if job.kind == GET:
             return "", directory[name]
         octets = directory.pop(name)

@@ -203,6 +203,7 @@ class Simulation:
                 now_ns=start_ns,
             )
             self._seldom.append(seldom.handle_time)
+            telling.add(partial(self._publish_robot, self.robot_commands))
             if self._media is not None:
                 self._media.on_halves.append(seldom.handle_halves)
         if isinstance(end, JoystickEnd):
@@ -291,6 +292,14 @@ class Simulation:
         self._next_slot_ns = slot_ns
         advance(until_ns)
         self._now_ns = until_ns
+
+    def _publish_robot(self, service: RobotCommands) -> None:
+        self._probe(self.topology.haptic("up").sender).publish(service.report())
+
+    def close(self) -> None:
+        """The session ends: senders say goodbye. Nothing runs after it."""
+        for end in self._scene.at_end:
+            end(self._now_ns)
 
     def report(self) -> SessionReport:
         """The report of all that was run so far: that of a live session, and `simulation`."""

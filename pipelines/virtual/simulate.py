@@ -354,5 +354,6 @@ def _run(simulation: Simulation, end_ns: int, stopped: Callable[[], bool]) -> No
         while now_ns < end_ns and not stopped():
             now_ns = min(now_ns + _STRIDE_NS, end_ns)
             simulation.run(now_ns)
+        simulation.close()
     finally:
         gc.unfreeze()
