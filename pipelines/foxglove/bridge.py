@@ -154,8 +154,8 @@ class Bridge:
 
     Read the topics of `wanted`, and drain `next_event` after each input. Call `handle_time` often.
 
-    session: its name. wall_offset_ns: wall time less the session's clock. boot_id: new at each start of
-    the process.
+    session: its name. wall_offset_ns: wall time less the session's clock. boot_id: new at each
+    start of the process.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What page, joystick, robot and the arbiter of its authority tell each other through topics; the arbiter.
+"""What page, joystick, robot and the arbiter of control publish; the arbiter.
 
 | topic | writer | content |
 |---|---|---|
@@ -9,9 +9,9 @@
 | `arm/order` | desk | who is to drive |
 | `arm/state` | robot | `ArmState`: who drives |
 
-An operator hands the robot's haptic port over at the desk. A terminal's request is a line of JSON,
-`{"authority": "partner"}`; an empty one only asks. The answer is `{"ok": true, "authority": "operator",
-"wanted": "partner", ...}` or `{"ok": false, "error": "..."}`.
+An operator hands the robot's haptic port over. A terminal's request is a line of JSON,
+`{"authority": "partner"}`; an empty one only asks. The answer is
+`{"ok": true, "authority": "operator", ...}` or `{"ok": false, "error": "..."}`.
 """
 
 import struct
@@ -178,7 +178,7 @@ AUTHORITIES = tuple(authority.value for authority in Authority)
 
 
 class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """Who drives: "operator", "partner" or "" for nobody. waiting: for a released dead-man button."""
+    """Who drives; "": nobody. waiting: for a released dead-man button."""
 
     authority: str = ""
     wanted: str = ""

@@ -14,8 +14,8 @@ from pipelines.partner.partner_metrics import RtcStreamMetrics
 class TrackMetrics(RtcStreamMetrics):
     """One stream of one connection; of one that comes, `repeated` came after a NACK.
 
-    dropped: units that waited too long. requested_bps: newest REMB. reception: what the partner last
-    said of a stream towards it.
+    dropped: units that waited too long. requested_bps: newest REMB. reception: the partner's last
+    words of a stream towards it.
     """
 
     dropped: int = 0

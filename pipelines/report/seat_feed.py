@@ -159,7 +159,7 @@ class SeatFeed:
             news = SessionEvents(
                 at_us=message.at_us,
                 events=self._events(name, pid),
-                metrics=dict(message.metrics),
+                metrics=dict(message.figures),
             )
             messages[name] = msgspec.json.encode(news)
         for name, pid in lives.items():

@@ -47,7 +47,7 @@ _MOST_EVENTS = 200
 
 class _Metrics(msgspec.Struct, frozen=True):
     state: str
-    metrics: Mapping[str, Any]
+    figures: Mapping[str, Any]
     events: list[msgspec.Raw]
 
 
@@ -68,7 +68,7 @@ class FiguresLog:
             self._newest = msgspec.json.decode(text, type=dict[str, msgspec.Raw])
         # Copied, because they would keep the whole message.
         self._events.extend(event.copy() for event in told.events)
-        self._metrics = told.metrics
+        self._metrics = told.figures
         self.running = told.state == "running"
 
     def joined_text(self) -> str | None:

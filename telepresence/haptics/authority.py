@@ -138,7 +138,7 @@ _SILENT_NS = 500 * NS_PER_MS
 class PartnerBoard:
     """Call `handle_joystick` and `handle_partner` for each datagram, then the two `poll_`.
 
-    ownership: of the joystick's port. `Authority.OPERATOR`: it drives our robot; `PARTNER`: it drives
+    ownership: of the joystick's port. `OPERATOR`: it drives our robot; `PARTNER`: it drives
     the partner's. `RobotSide` says when our robot rests.
     """
 

@@ -16,7 +16,7 @@ def code(body, key):
 class PythonController:
     """A mass of 1 kg per axis, or a handle that the test holds.
 
-    answers: whether it is there. place, speed, push: per axis. detail: contact 1, dead man 2.
+    answers: whether it is there. position, speed, push: per axis. detail: contact 1, dead man 2.
     state, force, leds: of the newest command.
     """
 
@@ -31,7 +31,7 @@ class PythonController:
         """Begin a new start."""
         self.keys = self.pending = (None, None)
         self.newest = self.sent = self.lives = 0
-        self.place, self.speed, self.push = [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
+        self.position, self.speed, self.push = [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]
         self.state = self.detail = self.buttons = self.leds = self.error = 0
         self.text = b""
         self.force = [0.0, 0.0]
@@ -63,7 +63,7 @@ class PythonController:
         if self.state == 2:
             for axis in (0, 1):
                 self.speed[axis] += self.force[axis] * 1e-3
-                self.place[axis] += self.speed[axis] * 1e-3
+                self.position[axis] += self.speed[axis] * 1e-3
         else:
             self.speed = [0.0, 0.0]
         return [self.reading()]
@@ -77,8 +77,8 @@ class PythonController:
             self.buttons,
             self.error,
             float("nan"),
-            *(self.place[0], self.speed[0], self.push[0]),
-            *(self.place[1], self.speed[1], self.push[1]),
+            *(self.position[0], self.speed[0], self.push[0]),
+            *(self.position[1], self.speed[1], self.push[1]),
         )
         body += self.text
         return body + code(body, self.keys[1])

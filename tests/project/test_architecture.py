@@ -59,7 +59,7 @@ SHELLS = {
     ),
     "pipelines/link": "key_files own_ends process_gateway",
     "pipelines/media": (
-        "coded_topics input_devices key_picture_maker process_receive sending stream_figures"
+        "coded_topics input_devices key_picture_maker process_receive sending stream_metrics"
     ),
     "pipelines/mission": "joined_session process_tasks process_tmtc tmtc_socket",
     "pipelines/partner": "coded_sources peer samples server transport whip",
@@ -74,9 +74,9 @@ SHELLS = {
         "command_process datagrams kept_files launcher machine_checks option_rows options "
         "page_sockets process served_pages serving_loop sessions terminals topic_ends web_site"
     ),
-    "pipelines/session/setup": "setup_file sources",
+    "pipelines/session/setup": "former_names setup_file sources",
     "pipelines/study": "running",
-    "pipelines/upkeep": "archive desk loader_keeper sequence_runner version_keeper",
+    "pipelines/upkeep": "archive loader_keeper requests sequence_runner version_keeper",
     "pipelines/virtual": "media mission session simulate streams studio workers",
     "pipelines/virtual/campaign": "sessions sweep sweep_file",
     "telepresence": "private_file toml_file",
@@ -91,6 +91,7 @@ SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "kontur_av/sources/source.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
+    "pipelines/session/setup/former_names.py": {"INPUTS"},
     "telepresence/haptics/specs.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
     "kontur_av/clock.py": words("NS_PER_MS NS_PER_S NS_PER_US ntp_from_unix_ns unix_ns_from_ntp"),
 }

@@ -46,7 +46,7 @@ test("one thing at a time presses, and nothing moves the handle beyond its works
 });
 
 test("axes behind x and y begin where they are", () => {
-  const axes = [{ place: 0.1, half_range: 0.2 }, { place: 9, half_range: 1 }];
+  const axes = [{ position: 0.1, half_range: 0.2 }, { position: 9, half_range: 1 }];
   const { line, control } = held({ joystick: { axes } });
   assert.deepEqual([0, 1, 2].map((axis) => control.axisTarget(axis)), [0.5, 1, null]);
   control.moveAxis(0, -3);

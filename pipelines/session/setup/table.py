@@ -20,6 +20,7 @@ from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
 from kontur_av.streams.budget import Pacer
+from pipelines.session.setup.former_names import INPUTS
 from pipelines.session.setup.segments import Direction
 from telepresence.haptics.axes import AxisName, more_axes, sample_octets
 from telepresence.haptics.envelope import SafetyLimits
@@ -261,7 +262,7 @@ class Setup:
             if self.cameras.count(camera) > 1:
                 raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
             _check_camera(camera)
-            if camera in (GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC):
+            if camera in (GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC, *INPUTS):
                 raise ConfigError(
                     f"setup {self.name}: camera {camera} has the name of another input; rename it"
                 )

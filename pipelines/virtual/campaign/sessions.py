@@ -5,7 +5,7 @@ The process of one is `python -m pipelines.virtual.campaign.sessions REPORT`. It
 ends when that input is closed, so that no session outlives its starter.
 
 With Dask a run goes to some worker, and is done again where a worker dies. A worker does only
-what a machine with the same program and libraries would have done: it compares `metadata` before each
+what a machine with the same program and libraries would have done: it compares versions before each
 run. So results are those of this machine, octet by octet.
 """
 

@@ -104,7 +104,7 @@ REFUSALS = {
         "TASKBOARD --listen 0.0.0.0:27000": "add --end ground or --end space",
         "LISTEN --joystick page": "the joystick is in space; give it at --end space",
         "LISTEN --source operator_camera=page": "operator_camera is captured at --end space; this",
-        "SPACE --source left=page": "left is captured at --end ground; this end has iss_",
+        "SPACE --source left=page": "left is captured at --end ground; this end has operator_",
         "SPACE --rtc": "--rtc: a partner joins the ground; give it at --end ground",
         "SPACE --ice-server turn:192.0.2.1": "give it at --end ground",
         "LISTEN --radio iss-pass --trainer": "give it at --end space with --trainer",

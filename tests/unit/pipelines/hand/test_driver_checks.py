@@ -429,14 +429,16 @@ def test_a_fault_of_much_fails_its_check(device, check, breaks):
 def test_facts_of_another_type_are_refused_before_the_robot_has_power():
     robot = Mass()
     robot.capabilities, robot.power_on = {"name": "arm"}, lambda: pytest.fail("it got power")
-    with pytest.raises(ConfigError, match="facts returned a dict: give RobotCapabilities"):
+    with pytest.raises(ConfigError, match="capabilities returned a dict: give RobotCapabilities"):
         checked(robot)
 
 
 def test_axes_that_are_not_described_are_said_and_without_motors_only_sensors_are_checked():
     shapeless = Wrist()
     shapeless.capabilities = replace(shapeless.capabilities, more=("z",))
-    assert checked(shapeless)[0].trouble == "facts returned more = a str: give AxisCapabilities"
+    assert (
+        checked(shapeless)[0].trouble == "capabilities returned more = a str: give AxisCapabilities"
+    )
     stick = Lever()
     stick.capabilities = replace(stick.capabilities, force_limit_n=0.0)
     results = checked(stick)

@@ -79,7 +79,7 @@ def test_an_unknown_owner_changes_nothing_and_garbage_gets_no_answer():
     for authority in ("bob", 7, None, ["operator"], {"authority": "operator"}):
         answer = json.loads(ask(service, json.dumps({"authority": authority}).encode() + b"\n"))
         assert not answer["ok"] and answer["mistake"]
-        assert "take iss or partner" in answer["error"]
+        assert "take operator or partner" in answer["error"]
     for line in (b"\n", b"[" * 4000 + b"\n", b"\xff\n", b"", b"x" * 9000):
         assert ask(service, line) == b""
     assert service.order is Authority.PARTNER

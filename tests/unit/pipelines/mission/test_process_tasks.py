@@ -25,7 +25,7 @@ class Recorder:
         if request.record == START:
             if self.file:
                 return RecordAnswer(ok=False, error=f"recorded already, to {self.file}")
-            self.file = request.request.file
+            self.file = request.options.file
             self.files.append(self.file)
         elif request.record == STOP:
             self.file = ""

@@ -186,7 +186,7 @@ def test_foreign_telecommands_leave_room_for_the_own_user():
 
 @pytest.mark.parametrize(("application", "name"), [("joystick", "halt"), ("robot", "power_off")])
 def test_a_system_that_began_anew_is_heeded_and_a_repetition_is_not(application, name):
-    """Its counts begin anew, too, so its telecommands are octet by octet those of the last start."""
+    """Its counts begin anew, too, so its telecommands are octet by octet those of before."""
     given, both, now_ns = bridge("all"), Ends(), 0
     octets = function(application, name, count=0)
 

@@ -66,7 +66,7 @@ def told(record):
     switch = SessionSwitch()
     seats.handle_look(look, switch=switch, started_ns=0, now_ns=NS_PER_S)
     seat = seats.message(zeros, launcher_cpu_s=0.0, running_ns=NS_PER_S, now_ns=NS_PER_S)
-    return to_builtins(report), seat.metrics
+    return to_builtins(report), seat.figures
 
 
 def parts_of(report):

@@ -97,7 +97,7 @@ def at(report, key):
 
 def test_every_figure_is_that_of_the_report_and_what_is_true_now_is_beside_it(collector, metrics):
     look(metrics)
-    found = told(metrics).metrics
+    found = told(metrics).figures
     restarts = dict.fromkeys(CPU_S, 0)
     report = to_builtins(
         build_report(collector, seconds=2.0, cpu_s=CPU_S, restarts=restarts, launcher_cpu_s=1.0)
@@ -119,7 +119,7 @@ def test_every_figure_is_that_of_the_report_and_what_is_true_now_is_beside_it(co
     assert found["uplink_voice.latency_ms.p50"] is None
     assert found["uplink_voice.latency_ms.count"] == 0
     look(metrics)
-    now, later = told(metrics).metrics, told(metrics, 5.0).metrics
+    now, later = told(metrics).figures, told(metrics, 5.0).figures
     names = ("age_ms", "state", "rate_bps")
     assert [now[f"uplink_video.{name}"] for name in names] == [45.0, "fresh", 80_000]
     assert [later[f"uplink_video.{name}"] for name in names] == [2045.0, "stale", 0]
@@ -146,7 +146,7 @@ def test_a_message_has_the_fields_that_pages_rely_on(collector, metrics):
     holding = message(PageMetrics(watching=1, holder=3))
     for holder in (None, 3):
         look(metrics, robot=robot)
-        assert told(metrics).metrics["hand.holder"] == holder
+        assert told(metrics).figures["hand.holder"] == holder
         collector.handle_message("page_space", holding, 2 * NS_PER_S)
     found = json.loads(msgspec.json.encode(told(metrics)))
     assert list(found) == [

@@ -86,20 +86,20 @@ def test_few_pictures_are_a_warning(found, counts):
 
 
 @pytest.mark.parametrize(
-    ("channel", "fixed"),
+    ("channel", "fix"),
     [
         (RecordedChannel(kept=9, missed=3), ["processors"]),
         (RecordedChannel(kept=9, dropped=3), ["disk"]),
         (RecordedChannel(kept=9, dropped=3, missed=1), ["disk", "processors"]),
     ],
 )
-def test_what_a_recording_lacks_is_blamed_on_what_was_too_slow(channel, repaired):
+def test_what_a_recording_lacks_is_blamed_on_what_was_too_slow(channel, fix):
     collector = Collector(topology_of(BUILT_IN["taskboard"], recorder=True))
     metrics = RecorderMetrics(parts=1, channels={"/haptic/up/sent": channel})
     collector.handle_message("recorder", message(metrics), 1)
     (warning,) = recorder_warnings(collector)
     found = [word for word in ("disk", "processors") if word in warning.fix]
-    assert found == repaired and warning.measured.startswith(f"{channel.lost} messages")
+    assert found == fix and warning.measured.startswith(f"{channel.lost} messages")
 
 
 @pytest.mark.parametrize(

@@ -156,9 +156,9 @@ def test_strangers_have_little_time_and_the_known_have_all_but_room():
     for number in range(3):
         admission.handle_accepted(number, "a", 0)
     admission.handle_known(1)
-    assert admission.handle_time(access.UNKNOWN_SENDER_NS - 1) == []
-    assert admission.handle_time(access.UNKNOWN_SENDER_NS) == [0, 2]
-    assert admission.handle_time(10 * access.UNKNOWN_SENDER_NS) == []
+    assert admission.handle_time(access.UNAUTHENTICATED_NS - 1) == []
+    assert admission.handle_time(access.UNAUTHENTICATED_NS) == [0, 2]
+    assert admission.handle_time(10 * access.UNAUTHENTICATED_NS) == []
     admission.handle_closed(1)
     admission.handle_closed(1)
     assert len(admission) == 0

@@ -42,6 +42,15 @@ def test_a_robot_is_named_by_module_and_class(monkeypatch):
     assert capabilities_of("own_robot:Mass").force_limit_n == 25.0
 
 
+def test_a_driver_may_call_its_capabilities_facts_for_one_release(monkeypatch, tmp_path):
+    (tmp_path / "former_arm.py").write_text(
+        "from telepresence import RobotFacts\n\nclass Arm:\n    facts = RobotFacts(name='former')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.warns(FutureWarning, match="Arm.facts is called capabilities now"):
+        assert capabilities_of("former_arm:Arm").name == "former"
+
+
 @pytest.mark.parametrize(
     ("spec", "words"),
     [

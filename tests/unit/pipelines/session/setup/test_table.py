@@ -108,8 +108,8 @@ def own_setup(**changes):
     [
         ({"sources": {"heda": "x.mp4"}}, "no such input"),
         ({"base_port": 65_530}, "base port"),
-        ({"cameras": ("static", "operator_camera")}, "camera operator_camera .* rename it"),
-        ({"cameras": ("static", "operator_mic")}, "camera operator_mic .* rename it"),
+        ({"cameras": ("static", "iss_camera")}, "camera iss_camera .* rename it"),
+        ({"cameras": ("static", "iss_mic")}, "camera iss_mic .* rename it"),
         ({"cameras": ("static", "ground_mic")}, "camera ground_mic .* rename it"),
         ({"radio": "geo", "radio_delay_ms": 12.5}, "radio geo has .* take radio cable"),
         ({"radio": "storm"}, "unknown radio storm"),

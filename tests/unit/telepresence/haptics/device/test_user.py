@@ -64,5 +64,5 @@ def test_its_own_words_its_numbers_and_its_silence_about_the_dead_man_are_taken(
 def test_facts_that_cannot_be_are_refused():
     stick = Stick()
     stick.capabilities = {"name": "stick"}
-    with pytest.raises(PartError, match="facts returned a dict: give JoystickCapabilities"):
+    with pytest.raises(PartError, match="capabilities returned a dict: give JoystickCapabilities"):
         UserJoystick(stick)

@@ -161,16 +161,16 @@ def test_contexts_that_an_acknowledgement_shows_as_lost_make_room_for_others():
         assert (compressor.compress(packet, count)[0] >= KIND_BARE) == believed
 
 
-@pytest.mark.parametrize(("heard", "boot_id"), [(True, LIFE_SLOTS), (False, FLEETING_SLOTS)])
-def test_a_context_expires_at_the_receiver(heard, life):
+@pytest.mark.parametrize(("heard", "slots"), [(True, LIFE_SLOTS), (False, FLEETING_SLOTS)])
+def test_a_context_expires_at_the_receiver(heard, slots):
     compressor, decompressor = RtpCompressor(VOICE, SLOT_NS), RtpDecompressor(VOICE, SLOT_NS)
     compressor.handle_peer(heard=heard)
     kind, body, _ = compressor.compress(rtp(0, 0), 0)
     assert kind == KIND_CONTEXT
     decompressor.decompress(kind, body, 0)
     assert decompressor.context_id == int(heard)
-    assert isinstance(decompressor.decompress(KIND_BARE, b"", life), bytes)
-    assert decompressor.decompress(KIND_BARE, b"", life + 1) == "no_context"
+    assert isinstance(decompressor.decompress(KIND_BARE, b"", slots), bytes)
+    assert decompressor.decompress(KIND_BARE, b"", slots + 1) == "no_context"
 
 
 @pytest.mark.parametrize("first", [LIFE_SLOTS - 700, LIFE_SLOTS, LIFE_SLOTS + 1])
