@@ -159,22 +159,12 @@ class Microphone(_Input):
         show: Callable[[CaptureStamp, Job, int], None],
     ) -> None:
         self._studio, self._show = studio, show
-        #: The next block without a new click in it, and the newest click so far.
-        self._expected: tuple[Job | None, int | None] = None, None
         pace = Pace(VOICE_PACKETS_PER_S, scene.start_ns, timeout=2)
         super().__init__(scene, name, film, pace, self._hear, block_ns=BLOCK_NS)
 
     def _hear(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
-        if state is None:
-            self._show(stamp, self._studio.submit(stamp.sequence), now_ns)
-            return
-        job, click_ns = self._expected
-        if job is None or state.click_ns != click_ns:
-            job = self._studio.submit((now_ns, state, False))
-        # Few blocks have a click. So the next one is encoded while virtual time goes on.
-        expected = self._studio.submit((now_ns + BLOCK_NS, state, True))
-        self._expected = expected, state.click_ns
-        self._show(stamp, job, now_ns)
+        job = stamp.sequence if state is None else (now_ns, state)
+        self._show(stamp, self._studio.submit(job), now_ns)
 
 
 class Stereo:
@@ -235,13 +225,10 @@ class Media:
         self._on_confirmed = on_confirmed
         #: Called with the instant of capture of the older half of each merged picture.
         self.on_halves: list[Callable[[int], None]] = []
-        self._voice_receivers: list[VoiceReceiveProcess] = []
         self.video_receivers: dict[str, VideoReceiveProcess] = {}
         #: By display.
         self._displays: dict[str, Display] = {}
         self._follow_choice: Callable[[Choice, int], None] | None = None
-        #: Everything shown up to this instant is known.
-        self._settled_ns = scene.start_ns
         setup = scene.setup
         pictures = self._receive_video(setup.uplink_video)
         self._send_uplink_video()
@@ -255,14 +242,6 @@ class Media:
         if setup.downlink_voice is not None:
             self._receive_voice(setup.downlink_voice, pictures_down)
             self._send_voice(setup.downlink_voice, OPERATOR_MIC)
-
-    def settle(self, until_ns: int, now_ns: int) -> None:
-        """Wait for all that was decoded by `until_ns`; it is `now_ns`."""
-        for receiver in self._voice_receivers:
-            receiver.settle(until_ns)
-        self._settled_ns = min(until_ns, now_ns)
-        for display in self._displays.values():
-            display.settle(self._settled_ns)
 
     def _send_uplink_video(self) -> None:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
@@ -353,7 +332,6 @@ class Media:
         receiver = VoiceReceiveProcess(self._scene, stream, self._display(stream.name))
         if pictures is not None:
             pictures.on_shown.append(receiver.handle_picture_shown)
-        self._voice_receivers.append(receiver)
         self._add_receiver(stream.name, receiver)
 
     def _add_receiver(
@@ -368,6 +346,6 @@ class Media:
         if name not in self._displays:
             streams = [row.stream for row in topology.media_streams if row.display == name]
             showing = Showing(self._scene.setup, streams, telling.probe(name))
-            telling.add(lambda: showing.publish(self._settled_ns))
-            self._displays[name] = Display(showing)
+            telling.add(lambda: showing.publish(telling.now_ns))
+            self._displays[name] = Display(self._scene, showing)
         return self._displays[name]

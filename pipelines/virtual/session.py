@@ -37,7 +37,7 @@ from pipelines.virtual.hands import JoystickSeldom, RobotSeldom
 from pipelines.virtual.media import Media
 from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc
 from pipelines.virtual.streams import Consumer
-from pipelines.virtual.workers import FAR_NS, Agenda, Scene, Telling, Timer, Workers
+from pipelines.virtual.workers import Agenda, Scene, Telling, Timer, Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
@@ -55,8 +55,6 @@ from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 from telepresence.world import WorldState, scripted_state
 
-#: The figures of a decoder are reported later by this, so that it need not keep step.
-_SETTLE_NS = 400_000_000
 #: Who sends the telecommands of the script.
 _SCRIPT = "script"
 
@@ -303,8 +301,6 @@ class Simulation:
 
     def report(self) -> SessionReport:
         """The report of all that was run so far: that of a live session, and `simulation`."""
-        if self._media is not None:
-            self._media.settle(FAR_NS, self._now_ns)
         self._telling.flush(self._now_ns)
         self.collector.handle_end()
         processes = self._telling.processes
@@ -445,7 +441,7 @@ class Simulation:
             first_ns=self.start_ns,
         )
 
-        self._telling.add(lambda: end.publish(self._now_ns))
+        self._telling.add(lambda: end.publish(self._telling.now_ns))
         return end
 
     def _random(self, what: str) -> Random:
@@ -456,8 +452,6 @@ class Simulation:
 
     def _flush(self, now_ns: int) -> None:
         self._now_ns = now_ns
-        if self._media is not None:
-            self._media.settle(now_ns - _SETTLE_NS, now_ns)
         self._telling.flush(now_ns)
         self._agenda.at(now_ns + FLUSH_NS, self._flush)
 

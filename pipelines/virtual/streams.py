@@ -1,14 +1,8 @@
-"""The sending and receiving processes of a simulated session. Coding takes its time.
+"""The sending and receiving processes of a simulated session. Coding takes its time."""
 
-Nothing depends on what a voice's decoder returns. So it works while virtual time goes on, and the
-simulation waits for it only when figures are reported (`settle`).
-"""
-
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from operator import itemgetter
 
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.nal_payload import ReceivedUnit
@@ -26,7 +20,7 @@ from pipelines.media.video_ends import VideoReceiveEnd, VideoSendEnd
 from pipelines.session.process import wait_ns
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.virtual.studio import Picture, VoiceDecoding
-from pipelines.virtual.workers import WALL_OFFSET_NS, Batch, Coder, Job, Scene, Timer, Worker
+from pipelines.virtual.workers import WALL_OFFSET_NS, Coder, Job, Scene, Timer, Worker
 from telepresence.link.gateway import Backlog, Gateway
 from telepresence.world import WorldState
 
@@ -185,48 +179,24 @@ class VoiceSendProcess(VoiceProcess):
 
 
 class Display:
-    """A display whose pictures are never drawn; it is decided all the same when each would be.
+    """A display whose pictures are never drawn; it is decided all the same when each would be."""
 
-    Sounds are known late. So everything shown up to an instant is handled by `settle`, in order.
-    """
+    def __init__(self, scene: Scene, showing: Showing) -> None:
+        self._showing, self.probe = showing, showing.probe
+        self._timer = Timer(scene.agenda, self._mark)
 
-    def __init__(self, showing: Showing) -> None:
-        self._showing = showing
-        self._shown: list[tuple[int, str, CaptureStamp | None, Callable[[], None]]] = []
-        self.probe = showing.probe
+    def handle_shown(self, stream: str, stamp: CaptureStamp, now_ns: int) -> None:
+        self._showing.handle_shown(stream, stamp, now_ns)
+        self._draw(now_ns)
 
-    def handle_shown(
-        self,
-        stream: str,
-        stamp: CaptureStamp | None,
-        now_ns: int,
-        notice: Callable[[], None] = lambda: None,
-    ) -> None:
-        """A picture or a block of sound is shown. notice: reports what is seen or heard in it."""
-        self._shown.append((now_ns, stream, stamp, notice))
+    def _mark(self, now_ns: int) -> None:
+        self._showing.handle_time(now_ns)
+        self._draw(now_ns)
 
-    def settle(self, until_ns: int) -> None:
-        """All shown by `until_ns` is known. Mark what is stale, each time at its instant."""
-        showing, shown = self._showing, self._shown
-        shown.sort(key=itemgetter(0))
-        known = bisect_right(shown, until_ns, key=itemgetter(0))
-        for now_ns, stream, stamp, notice in shown[:known]:
-            if stamp is not None:
-                # The marks on the picture before come first.
-                self._mark(now_ns - 1)
-                showing.handle_shown(stream, stamp, now_ns)
-            notice()
-        del shown[:known]
-        self._mark(until_ns)
-
-    def _mark(self, until_ns: int) -> None:
-        showing = self._showing
-        while showing.next_event() is not None:
+    def _draw(self, now_ns: int) -> None:
+        while self._showing.next_event() is not None:
             pass
-        while (due_ns := showing.poll_timeout()) is not None and due_ns <= until_ns:
-            showing.handle_time(due_ns)
-            while showing.next_event() is not None:
-                pass
+        self._timer.set(self._showing.poll_timeout(), now_ns)
 
 
 class VideoReceiveProcess:
@@ -291,11 +261,11 @@ class VideoReceiveProcess:
             self.on_unit(unit)
         self._waiting = self._waiting or []
         shown_ns = now_ns + self._cost_ns
-        job = self._decoder.submit([(unit.data, unit.timestamp, shown_ns)])
+        job = self._decoder.submit((unit.data, unit.timestamp, shown_ns))
         self._agenda.at(shown_ns, partial(self._finish, job))
 
     def _finish(self, job: Job, now_ns: int) -> None:
-        ((pictures, counts, lights, quality),) = job.result()
+        pictures, counts, lights, quality = job.result()
         self.quality_db.extend(quality)
         for stamp in self.end.handle_decoded(pictures, counts):
             if stamp is not None and stamp.rtp_timestamp is not None:
@@ -304,14 +274,7 @@ class VideoReceiveProcess:
                 for call in self.on_shown:
                     call(now_ns, now_ns - stamp.capture_ns)
         for light in lights:
-            notice = partial(
-                publish_light,
-                self._display.probe,
-                self._stream,
-                light,
-                dict(self._recall.captured_ns),
-            )
-            self._display.handle_shown(self._stream, None, now_ns, notice)
+            publish_light(self._display.probe, self._stream, light, self._recall.captured_ns)
         if (unit := self.end.next_unit()) is not None:
             self._decode(unit, now_ns)
             return
@@ -334,11 +297,11 @@ class VoiceReceiveProcess:
         self._stream, self._display = stream.name, display
         self._probe = probe = scene.telling.probe(scene.topology.media(stream.name).receiver)
         make = partial(VoiceDecoding, watched=stream.name in OPERATORS)
-        self._decoder, self._recall = Batch(scene.workers.start(make)), Recall()
+        self._decoder, self._recall = scene.workers.start(make), Recall()
+        self._agenda = scene.agenda
         self._timer = Timer(scene.agenda, self._drain)
         scene.telling.add(lambda: probe.publish(receiver.counts))
         self._cost_ns = scene.costs.ns("voice_decode")
-        self._decoding: deque[tuple[int, PlayoutBlock, int | None]] = deque()
         self.handle_picture_shown = receiver.handle_picture_shown
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> None:
@@ -354,26 +317,16 @@ class VoiceReceiveProcess:
         self._receiver.handle_timeout(now_ns)
         while (block := self._receiver.next_event()) is not None:
             heard_ns = now_ns + self._cost_ns
-            self._decoder.submit((block, heard_ns))
+            job = self._decoder.submit((block, heard_ns))
             capture_ns = self._receiver.capture_ns(block.timestamp)
-            self._decoding.append((heard_ns, block, capture_ns))
+            self._agenda.at(heard_ns, partial(self._play, job, block, capture_ns))
         self._timer.set(self._receiver.poll_timeout(), now_ns)
 
-    def settle(self, until_ns: int) -> None:
-        """Wait for blocks decoded by `until_ns`, and play each at its own instant."""
-        while self._decoding and self._decoding[0][0] <= until_ns:
-            heard_ns, block, capture_ns = self._decoding.popleft()
-            decoded, clicks = self._decoder.next_result()
-            stamp = self._receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
-            if stamp is not None:
-                self._display.handle_shown(self._stream, stamp, heard_ns)
-                self._recall.add(block.timestamp, stamp.capture_ns)
-            for click in clicks:
-                notice = partial(
-                    publish_click,
-                    self._display.probe,
-                    self._stream,
-                    click,
-                    dict(self._recall.captured_ns),
-                )
-                self._display.handle_shown(self._stream, None, heard_ns, notice)
+    def _play(self, job: Job, block: PlayoutBlock, capture_ns: int | None, now_ns: int) -> None:
+        decoded, clicks = job.result()
+        stamp = self._receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
+        if stamp is not None:
+            self._display.handle_shown(self._stream, stamp, now_ns)
+            self._recall.add(block.timestamp, stamp.capture_ns)
+        for click in clicks:
+            publish_click(self._display.probe, self._stream, click, self._recall.captured_ns)

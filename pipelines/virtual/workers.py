@@ -93,6 +93,8 @@ class Telling:
         self._collector = collector
         self._probes: dict[str, Probe] = {}
         self._fills: list[Callable[[], object]] = []
+        #: The instant of the flush.
+        self.now_ns = 0
         #: Takes a function to call before each flush, which puts counters into its probe.
         self.add = self._fills.append
 
@@ -104,15 +106,13 @@ class Telling:
         return self._probes.setdefault(process, Probe())
 
     def flush(self, now_ns: int) -> None:
+        self.now_ns = now_ns
         for fill in self._fills:
             fill()
         for name, probe in self._probes.items():
             self._collector.handle_message(name, probe.message, now_ns)
             probe.handle_told(now_ns, told=True)
 
-
-#: Jobs in a batch.
-_BATCH = 8
 
 #: Does one job after the other. It is made in the worker process.
 Coder = Callable[[Any], Any]
@@ -186,36 +186,6 @@ class Worker:
         self._process.join(5)
         if self._process.is_alive():
             self._process.kill()
-
-
-class Batch:
-    """Submits small jobs in batches, for results that are needed late.
-
-    The worker's coder gets a list of jobs and returns a list of results.
-    """
-
-    def __init__(self, worker: Worker) -> None:
-        self._worker = worker
-        self._jobs: list[Any] = []
-        self._submitted: deque[Job] = deque()
-        self._results: deque[Any] = deque()
-
-    def submit(self, job: Any) -> None:
-        self._jobs.append(job)
-        if len(self._jobs) == _BATCH:
-            self._begin()
-
-    def next_result(self) -> Any:
-        """Wait for the result of the next job, in the order of submission."""
-        while not self._results:
-            if not self._submitted:
-                self._begin()
-            self._results.extend(self._submitted.popleft().result())
-        return self._results.popleft()
-
-    def _begin(self) -> None:
-        self._submitted.append(self._worker.submit(self._jobs))
-        self._jobs = []
 
 
 class Workers(ExitStack):
