@@ -106,18 +106,18 @@ def serve_robot(bus: TopicBus, service: RobotCommands, *, tasks: bool) -> Cycle:
     orders = MissionReader(bus, ROBOT_ORDER_TOPIC, RobotOrder, depth=_ORDERS) if tasks else None
     commands = MissionReader(bus, ROBOT_COMMAND_TOPIC, RobotCommand, depth=_ORDERS)
 
-    next_order = _nothing if orders is None else orders.next_sent
-
     def serve(now_ns: int) -> None:
-        status = service.serve(next_order, commands.next_sent, now_ns)
+        if orders is not None:
+            while (order := orders.next()) is not None:
+                service.handle_order(order, orders.newest_ns, now_ns)
+        # One at a time, so that each has its own answer.
+        if (command := commands.next()) is not None:
+            service.handle_command(command, commands.newest_ns, now_ns)
+        status = service.poll_status(now_ns)
         if status is not None:
             writer.publish(status, now_ns)
 
     return serve
-
-
-def _nothing() -> None:
-    """What a topic gives that nobody writes."""
 
 
 def follow_exercises(bus: TopicBus, handle: Callable[[Exercises, int], None]) -> Cycle:
@@ -350,13 +350,18 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
     """Return what takes persons' commands and telecommands, and publishes the joystick's state."""
     teller = JoystickStatusTeller(handle)
     writer = NumberedTopic(bus, JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS, wake=True)
-    next_request: Callable[[], bytes | None] = _nothing
+    requests = None
     if HAND_REQUEST_TOPIC in reads:
-        next_request = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS).next_octets
-    next_command = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS).next_octets
+        requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
+    commands = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
 
     def publish(now_ns: int) -> None:
-        status = teller.serve(next_request, next_command, now_ns)
+        # One at a time, so that each has its own answer.
+        if requests is not None and (request := requests.next_octets()) is not None:
+            teller.handle_request(request)
+        if (command := commands.next_octets()) is not None:
+            teller.handle_telecommand(command)
+        status = teller.poll_status(now_ns)
         if status is not None:
             writer.publish_octets(status, now_ns)
         if teller.asks(now_ns):

@@ -1,6 +1,5 @@
 """What the processes of robot and joystick are told, and what they tell. Cores."""
 
-from collections.abc import Callable
 from math import hypot
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -125,22 +124,6 @@ class RobotCommands:
         if self._refusal:
             self._envelope.add_event(f"{command.function} refused: {self._refusal}", now_ns)
 
-    def serve(
-        self,
-        next_order: Callable[[], tuple[RobotOrder, int] | None],
-        next_command: Callable[[], tuple[RobotCommand, int] | None],
-        now_ns: int,
-    ) -> RobotStatus | None:
-        """Every few cycles: take all orders, with their instants, and one telecommand.
-
-        One at a time, so that each has its own answer. Return the status to publish, if it is due.
-        """
-        while (order := next_order()) is not None:
-            self.handle_order(*order, now_ns)
-        if (command := next_command()) is not None:
-            self.handle_command(*command, now_ns)
-        return self.poll_status(now_ns)
-
     def poll_status(self, now_ns: int) -> RobotStatus | None:
         """Return the status if it is due: after what others asked for, at faults, every 50 ms."""
         control = self.control
@@ -260,22 +243,6 @@ class JoystickStatusTeller(WatchedTopic):
         if request is None:
             return None
         return request.number, self._handle.handle_command(request.event, *by)[:MOST_CHARACTERS]
-
-    def serve(
-        self,
-        next_request: Callable[[], bytes | None],
-        next_command: Callable[[], bytes | None],
-        now_ns: int,
-    ) -> bytes | None:
-        """Every few cycles: take one request of a person and one telecommand.
-
-        One at a time, so that each has its own answer. Return the state to publish, if it is due.
-        """
-        if (request := next_request()) is not None:
-            self.handle_request(request)
-        if (command := next_command()) is not None:
-            self.handle_telecommand(command)
-        return self.poll_status(now_ns)
 
     def poll_status(self, now_ns: int) -> bytes | None:
         """Return the state as octets if it is due, or None."""

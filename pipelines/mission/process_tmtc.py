@@ -11,12 +11,14 @@ outlives the process.
 import secrets
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from socket import socket
+from typing import Any
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.topics.bus import Reader, TopicBus
+from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root, remember, session_root
 from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
 from pipelines.link.link_metrics import unpack_link
@@ -60,6 +62,7 @@ from pipelines.session.topology import (
     TMTC_TOPICS,
     WALL_TOPIC,
     Segment,
+    Topic,
     component_process,
     link_state_topic,
     packet_topics,
@@ -74,8 +77,6 @@ from telepresence.tmtc.telemetry_source import Component, load_telemetry
 _STATES = 16
 
 _STATES_TOLD = msgspec.json.Decoder(list[ProcessState])
-
-Take = Callable[[bytes, int], None]
 
 
 class _PacketTopics:
@@ -123,33 +124,20 @@ class TmtcServer:
         self._packets = _PacketTopics(bus, segment)
         news = TMTC_TOPICS[segment]
         self._news = NumberedTopic(bus, news, max_octets=MAX_NEWS_OCTETS, wake=True)
-
-        def take_link(octets: bytes, now_ns: int) -> None:
-            tmtc.gateway.handle_values(unpack_link(octets), now_ns)
-
-        self._topics: list[tuple[Reader, Take]] = [
-            (bus.reader(link_state_topic(segment)), take_link)
+        feeds: list[tuple[Topic, int, Callable[[bytes], Any], Callable[[Any, int], None]]] = [
+            (link_state_topic(segment), 1, unpack_link, tmtc.gateway.handle_values)
         ]
         if (joystick := tmtc.joystick) is not None:
+            feeds.append((JOYSTICK_STATE_TOPIC, _STATES, unpack_status, joystick.handle_status))
             commands, octets = JOYSTICK_COMMAND_TOPIC, REQUEST_OCTETS
-
-            def take_joystick(octets: bytes, now_ns: int) -> None:
-                status = unpack_status(octets)
-                if status is not None:
-                    joystick.handle_status(status, now_ns)
-
-            self._topics.append((bus.reader(JOYSTICK_STATE_TOPIC, depth=_STATES), take_joystick))
         elif (robot := tmtc.robot) is not None:
+            status = partial(unpack, RobotStatus)
+            feeds.append((ROBOT_TOPIC, 1, unpack_state, robot.handle_state))
+            feeds.append((ROBOT_STATUS_TOPIC, _STATES, status, robot.handle_status))
             commands, octets = ROBOT_COMMAND_TOPIC, MISSION_OCTETS
-
-            def take_robot(octets: bytes, now_ns: int) -> None:
-                robot.handle_state(unpack_state(octets), now_ns)
-
-            def take_status(octets: bytes, now_ns: int) -> None:
-                robot.handle_status(unpack(RobotStatus, octets), now_ns)
-
-            self._topics.append((bus.reader(ROBOT_TOPIC), take_robot))
-            self._topics.append((bus.reader(ROBOT_STATUS_TOPIC, depth=_STATES), take_status))
+        self._feeds = [
+            (bus.reader(topic, depth=depth), read, handle) for topic, depth, read, handle in feeds
+        ]
         self._commands = NumberedTopic(bus, commands, max_octets=octets, wake=True)
         make_session_root(context.session)
         write_dictionary(context.session, tmtc.dictionary)
@@ -169,9 +157,10 @@ class TmtcServer:
     def work(self, now_ns: int) -> None:
         """Take requests and parameters over, send packets, publish news."""
         end, tmtc = self.end, self._tmtc
-        for reader, take in self._topics:
+        for reader, read, handle in self._feeds:
             while (octets := reader.next_octets()) is not None:
-                take(octets, now_ns)
+                if (value := read(octets)) is not None:
+                    handle(value, now_ns)
         while (request := self._requests.receive()) is not None:
             end.handle_octets(request, now_ns)
         while (told := self._context.receive_metrics()) is not None:

@@ -82,11 +82,6 @@ class MissionReader(Generic[MessageT]):
         lease = self._reader.next()
         return None if lease is None else self._read(lease)
 
-    def next_sent(self) -> tuple[MessageT, int] | None:
-        """As `next`, with the instant at which the message was sent."""
-        found = self.next()
-        return None if found is None else (found, self.newest_ns)
-
     def _read(self, lease: Lease) -> MessageT:
         with lease:
             self.newest_ns = lease.stamp.capture_ns

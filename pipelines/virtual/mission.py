@@ -8,6 +8,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.file_requests import ENTITIES, RATES_BPS
 from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptics import JoystickEnd
+from pipelines.hand.robot_commands import RobotCommands
 from pipelines.link.link_metrics import CONNECTED, LinkValues, link_values
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.mission import MissionGround, Seen, robot_order
@@ -25,7 +26,7 @@ from pipelines.mission.tmtc_messages import (
 )
 from pipelines.mission.tmtc_segment import TmtcSegment
 from pipelines.mission.tmtc_sources import SAMPLE_NS
-from pipelines.session.mission_messages import RobotCommand, RobotStatus
+from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from pipelines.session.probe import Probe
 from pipelines.session.process import wait_ns
 from pipelines.session.session_metrics import ProcessState
@@ -39,7 +40,6 @@ from pipelines.session.topology import (
     TELEMETRY,
     maintenance_stream,
 )
-from pipelines.virtual.hands import RobotSeldom
 from pipelines.virtual.streams import Consumer
 from pipelines.virtual.workers import Scene, Timer
 from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
@@ -217,7 +217,9 @@ class SimulatedMission:
         cosmonaut: Cosmonaut,
         scene: Scene,
         *,
-        robot: RobotSeldom,
+        robot: RobotCommands,
+        status: Callable[[], RobotStatus],
+        orders: deque[tuple[RobotOrder, int]],
         joystick: JoystickEnd,
         tmtc: SimulatedTmtc,
         choice: CameraChoice,
@@ -227,7 +229,8 @@ class SimulatedMission:
         self._ground = MissionGround(catalogue, plan, now_ns=now_ns)
         self._panel = MissionPanel()
         self._cosmonaut = cosmonaut
-        self._robot, self._joystick = robot, joystick.side
+        self._robot, self._joystick = robot.control.robot, joystick.side
+        self._status, self._orders = status, orders
         self._tmtc, self._delay_ns = tmtc, scene.setup.radio_profile.longest_delay_ns
         self._choice, self._select = choice, select
         self._agenda = agenda
@@ -259,7 +262,7 @@ class SimulatedMission:
         )
         self._seen.append(self._leds.picture(now_ns))
         picture = self._seen.pop(0) if len(self._seen) > _SEEN_NS // LOOK_NS else self._seen[0]
-        robot = self._robot.service.control.robot
+        robot = self._robot
         cosmonaut.look(panel.view, picture, (robot.x_m, robot.y_m), (handle.x_m, handle.y_m))
         handle.dead_man = cosmonaut.dead_man
         self._send(Segment.SPACE, panel.poll_message, now_ns)
@@ -273,7 +276,7 @@ class SimulatedMission:
         values = self._tmtc.links[Segment.GROUND]
         frames, lost = int(values.get("frames", 0)), int(values.get("frames_lost", 0))
         seen = Seen(
-            robot=self._robot.status,
+            robot=self._status(),
             camera=self._choice.selected,
             recording=self._recording,
             signal=self._connected(Segment.GROUND),
@@ -299,7 +302,7 @@ class SimulatedMission:
                 self._recording = order.on
             elif (told := robot_order(order, self._order + 1)) is not None:
                 self._order += 1
-                self._robot.orders.append((told, now_ns))
+                self._orders.append((told, now_ns))
         self._send(Segment.GROUND, self._ground.poll_message, now_ns)
 
     def _send(self, segment: Segment, poll: Callable[[], K2aciMessage | None], now_ns: int) -> None:

@@ -6,6 +6,7 @@ Everything happens in the order of its instant, so the same seed gives the same 
 machine.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,11 +16,12 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.hand.hand_topics import unpack_status
 from pipelines.hand.haptic_loop import SELDOM
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.replaying import ReplayedEnd
-from pipelines.hand.robot_commands import RobotCommands
-from pipelines.hand.safety_ends import OperatorView, within
+from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
+from pipelines.hand.safety_ends import CameraWatch, OperatorView, within
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
 from pipelines.media.media_metrics import CodingCosts
@@ -29,11 +31,11 @@ from pipelines.report.collector import Collector
 from pipelines.report.model import SessionReport, SimulationReport
 from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
+from pipelines.session.mission_messages import RobotOrder
 from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
-from pipelines.virtual.hands import JoystickSeldom, RobotSeldom
 from pipelines.virtual.media import Media
 from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc
 from pipelines.virtual.streams import Consumer
@@ -126,6 +128,7 @@ class Simulation:
         self._epoch_ns = epoch_ns
         self.start_ns = self._now_ns = self._next_slot_ns = start_ns
         self._state: WorldState | None = None
+        self._selected = ""
         #: Cycles until what is rare.
         self._wait = SELDOM
         #: What waits for the next haptic cycle.
@@ -182,42 +185,69 @@ class Simulation:
         self.files = SimulatedFiles(scene) if files else None
         if self.files is not None:
             self._consumers.update(self.files.consumers)
-        #: None while a recording drives the robot.
+        #: None while a recording drives the robot. What the kernel orders, with its instant.
         self.robot_commands: RobotCommands | None = None
-        self._robot_seldom: RobotSeldom | None = None
+        self._orders: deque[tuple[RobotOrder, int]] = deque()
         #: What the loops of robot and joystick do every few cycles.
         self._seldom: list[Callable[[int], None]] = []
         if isinstance(self._robot, RobotEnd):
-            boot_id = self._boot_id(self.topology.haptic("up").sender)
-            self.robot_commands = RobotCommands(
-                self._robot.side, boot_id=boot_id, tasks=plan is not None, now_ns=start_ns
-            )
-            self._robot_seldom = seldom = RobotSeldom(
-                setup,
-                self._robot,
-                self.robot_commands,
-                tmtc.robot_commands,
-                tmtc.handle_status,
-                now_ns=start_ns,
-            )
-            self._seldom.append(seldom.handle_time)
-            telling.add(partial(self._publish_robot, self.robot_commands))
-            if self._media is not None:
-                self._media.on_halves.append(seldom.handle_halves)
+            self._seldom.append(self._serve_robot(self._robot, tasks=plan is not None))
         if isinstance(end, JoystickEnd):
-            view = None
-            if self._media is not None:
-                view = OperatorView(setup)
-                shown = self._media.video_receivers[setup.uplink_video.name].on_shown
-                shown.append(view.handle_shown)
-            follower = JoystickSeldom(end, tmtc.joystick_commands, tmtc.handle_status, view=view)
-            self._seldom.append(follower.handle_time)
+            self._seldom.append(self._serve_joystick(end.side.handle))
         self._work_choice(start_ns)
         agenda.at(start_ns + FLUSH_NS, self._flush)
         self.mission = None if plan is None else self._make_mission(*plan)
 
+    def _serve_robot(self, end: RobotEnd, *, tasks: bool) -> Callable[[int], None]:
+        boot_id = self._boot_id(self.topology.haptic("up").sender)
+        self.robot_commands = service = RobotCommands(
+            end.side, boot_id=boot_id, tasks=tasks, now_ns=self.start_ns
+        )
+        self.robot_status = service.status(self.start_ns)
+        probe = self._probe(self.topology.haptic("up").sender)
+        self._telling.add(lambda: probe.publish(service.report()))
+        tmtc, watch = self.tmtc, CameraWatch(self.setup, end.envelope)
+        if self._media is not None:
+            self._media.on_halves.append(watch.handle_halves)
+
+        def serve(now_ns: int) -> None:
+            while self._orders:
+                service.handle_order(*self._orders.popleft(), now_ns)
+            # One at a time, so that each has its own answer.
+            if tmtc.robot_commands:
+                service.handle_command(*tmtc.robot_commands.popleft(), now_ns)
+            if (status := service.poll_status(now_ns)) is not None:
+                self.robot_status = status
+                tmtc.handle_status(status)
+            if self._selected:
+                watch.handle_choice(self._selected)
+            watch.handle_time(now_ns)
+
+        return serve
+
+    def _serve_joystick(self, handle: Handle) -> Callable[[int], None]:
+        tmtc, view, teller = self.tmtc, OperatorView(self.setup), None
+        if self._media is not None:
+            receiver = self._media.video_receivers[self.setup.uplink_video.name]
+            receiver.on_shown.append(view.handle_shown)
+        if isinstance(handle, OperatedHandle):
+            teller = JoystickStatusTeller(handle)
+            teller.handle_watched(watched=True)
+
+        def serve(now_ns: int) -> None:
+            if teller is not None:
+                if tmtc.joystick_commands:
+                    teller.handle_telecommand(tmtc.joystick_commands.popleft())
+                octets = teller.poll_status(now_ns)
+                if octets is not None and (status := unpack_status(octets)) is not None:
+                    tmtc.handle_status(status)
+            if self._media is not None:
+                handle.blind = view.is_blind(now_ns)
+
+        return serve
+
     def _make_mission(self, plan: SessionPlan, catalogue: Catalogue) -> SimulatedMission:
-        robot, joystick, cosmonaut = self._robot_seldom, self._joystick, self._cosmonaut
+        robot, joystick, cosmonaut = self.robot_commands, self._joystick, self._cosmonaut
         assert robot is not None and isinstance(joystick, JoystickEnd) and cosmonaut is not None
         return SimulatedMission(
             plan,
@@ -225,6 +255,8 @@ class Simulation:
             cosmonaut,
             self._scene,
             robot=robot,
+            status=lambda: self.robot_status,
+            orders=self._orders,
             joystick=joystick,
             tmtc=self.tmtc,
             choice=self._choice,
@@ -290,9 +322,6 @@ class Simulation:
         self._next_slot_ns = slot_ns
         advance(until_ns)
         self._now_ns = until_ns
-
-    def _publish_robot(self, service: RobotCommands) -> None:
-        self._probe(self.topology.haptic("up").sender).publish(service.report())
 
     def close(self) -> None:
         """The session ends: senders say goodbye. Nothing runs after it."""
@@ -489,8 +518,7 @@ class Simulation:
         self._choice_timer.set(self._choice.poll_timeout(), now_ns)
 
     def _follow(self, choice: Choice, now_ns: int) -> None:
-        if self._robot_seldom is not None:
-            self._robot_seldom.camera = choice.camera
+        self._selected = choice.camera
         if self._media is None:
             self._choice.handle_confirmed(choice.number)
         else:

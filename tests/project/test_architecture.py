@@ -77,7 +77,7 @@ SHELLS = {
     "pipelines/session/setup": "former_names setup_file sources",
     "pipelines/study": "running",
     "pipelines/upkeep": "archive loader_keeper requests sequence_runner version_keeper",
-    "pipelines/virtual": "hands media mission session simulate streams studio workers",
+    "pipelines/virtual": "media mission session simulate streams studio workers",
     "pipelines/virtual/campaign": "sessions sweep sweep_file",
     "telepresence": "private_file toml_file",
     "telepresence/haptics": "specs udp_devices udp_line",
