@@ -4,11 +4,10 @@ The last order is kept in a file, so that a desk or a robot that was killed goes
 """
 
 from kontur_av.topics.session_files import make_session_root, remember, session_root
-from pipelines.hand.hand_topics import ARM_ORDER_OCTETS, ARM_SOCKET, ArmState, ControlArbiter
+from pipelines.hand.hand_topics import ARM_ORDER_TOPIC, ARM_SOCKET, ARM_STATE_TOPIC, ControlArbiter
 from pipelines.session.process import Context
 from pipelines.session.terminals import serve_terminals
-from pipelines.session.topic_ends import NumberedTopic
-from pipelines.session.topology import ARM_ORDER_TOPIC, ARM_STATE_TOPIC
+from pipelines.session.topic_ends import TopicReader, TopicWriter
 from telepresence.haptics.authority import Authority
 
 
@@ -20,18 +19,18 @@ def run_control_arbiter(context: Context) -> None:
     known = known or Authority.OPERATOR.value
     service = ControlArbiter(Authority(known))
     with context.open_bus() as bus:
-        writer = NumberedTopic(bus, ARM_ORDER_TOPIC, max_octets=ARM_ORDER_OCTETS)
-        reader = bus.reader(ARM_STATE_TOPIC)
+        writer = TopicWriter(bus, ARM_ORDER_TOPIC)
+        reader = TopicReader(bus, ARM_STATE_TOPIC)
 
         def follow(now_ns: int) -> None:
             nonlocal known
-            if (state := reader.latest_octets()) is not None:
-                service.handle_state(ArmState.unpack(state))
+            if (state := reader.latest()) is not None:
+                service.handle_state(state)
             order = service.order.value
             if order != known:
                 known = order
                 remember(remembered, order.encode("ascii"))
             # Published repeatedly, for a robot that has started since.
-            writer.publish_octets(order.encode("ascii"), now_ns)
+            writer.publish(service.order, now_ns)
 
         serve_terminals(context, ARM_SOCKET, service.service, follow)

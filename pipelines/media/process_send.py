@@ -6,20 +6,18 @@ from dataclasses import replace
 
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
-from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
-from pipelines.media.following import CONFIRMED_OCTETS, Choice, pack_confirmed
+from pipelines.media.following import FOLLOWED_TOPIC, SELECTED_TOPIC
 from pipelines.media.stream_metrics import Outgoing, publish_sender, voice_sender
 from pipelines.media.video_ends import VideoSendEnd
 from pipelines.session.datagrams import receive
+from pipelines.session.mission_messages import ROBOT_TOPIC
 from pipelines.session.process import Context, wait_ns
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topic_ends import SampleTopic, unpack_state
-from pipelines.session.topology import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
-from telepresence.link.gateway import Backlog
+from pipelines.session.topic_ends import TopicReader, TopicWriter
 
 Send = Callable[[bytes, int], object]
 
@@ -51,16 +49,14 @@ class VideoOutlet:
         )
         context.on_flush(self.end.publish)
         self.feedback = context.listen_media(context.topology.exit_port(row.feedback))
-        self.backlogs = bus.reader(row.backlog_topic)
+        self.backlogs = TopicReader(bus, row.backlog_topic)
         self.sent = SentTopic(bus, row.name, row.sent_topic)
 
     def work(self) -> None:
         """Take the gateway's report and the receiver's feedback, and send what is due."""
         clock, end = self._clock, self.end
-        if (told := self.backlogs.latest()) is not None:
-            with told:
-                backlog = Backlog.unpack(told.octets())
-                end.handle_backlog(backlog, told.stamp.capture_ns, clock.now_ns())
+        if (backlog := self.backlogs.latest()) is not None:
+            end.handle_backlog(backlog, self.backlogs.newest_ns, clock.now_ns())
         end.handle_time(clock.now_ns())
         while (datagram := receive(self.feedback)) is not None:
             end.handle_feedback(datagram, clock.now_ns())
@@ -81,9 +77,9 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
             coded_size=stream.coded,
             regions=end.regions,
         )
-        choices = bus.reader(SELECTED_TOPIC) if follows else None
-        confirmed = bus.writer(FOLLOWED_TOPIC, max_octets=CONFIRMED_OCTETS) if follows else None
-        robot = bus.reader(ROBOT_TOPIC) if end.regions else None
+        choices = TopicReader(bus, SELECTED_TOPIC) if follows else None
+        confirmed = TopicWriter(bus, FOLLOWED_TOPIC, wake=True) if follows else None
+        robot = TopicReader(bus, ROBOT_TOPIC) if end.regions else None
         reader = None if topic is None else bus.reader(topic)
         #: The picture in the encoder; readers of earlier cameras, closed when it is none of theirs.
         encoded: Lease | None = None
@@ -91,19 +87,20 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
         # The thread reads shared memory, so it ends before the bus.
         with EncodingThread(encoder, clock) as encoding:
             sockets = [outlet.feedback.fileno(), encoding.fileno()]
-            waiter = bus.waiter([each for each in (reader, choices) if each], sockets)
+            chosen = [] if choices is None else [choices.open()]
+            waiter = bus.waiter([*chosen, *([reader] if reader else [])], sockets)
             while not context.stopping:
                 now_ns = clock.now_ns()
                 context.tick(now_ns)
                 waiter.wait(wait_ns(now_ns, end.poll_timeout(now_ns)))
-                octets = None if choices is None else choices.latest_octets()
-                if octets is not None and end.handle_choice(Choice.unpack(octets)):
+                choice = None if choices is None else choices.latest()
+                if choice is not None and end.handle_choice(choice):
                     if reader is not None:
                         retired.append(reader)
                     assert end.camera is not None
                     reader = bus.reader(context.topology.camera(end.camera).topic)
                     del waiter
-                    waiter = bus.waiter([each for each in (reader, choices) if each], sockets)
+                    waiter = bus.waiter([*chosen, reader], sockets)
                 if reader is not None and reader.has_new():
                     # Dropped first: a reader can hold two samples and the one that it takes.
                     end.drop()
@@ -123,10 +120,9 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                         retired.pop().close()
                 number = end.poll_confirmed(clock.now_ns())
                 if confirmed is not None and number is not None:
-                    stamp = CaptureStamp(clock.now_ns(), number, "sender")
-                    confirmed.publish_octets(pack_confirmed(number), stamp)
-                if robot is not None and (octets := robot.latest_octets()) is not None:
-                    end.handle_state(unpack_state(octets))
+                    confirmed.publish(number, clock.now_ns())
+                if robot is not None and (state := robot.latest()) is not None:
+                    end.handle_state(state)
                 if (work := end.poll_encode(clock.now_ns())) is not None:
                     encoded = work.picture
                     frame = replace(encoded.video(), stamp=work.stamp)
@@ -152,7 +148,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
     context.on_flush(lambda: publish_sender(probe, sender))
     with context.open_bus() as bus:
         reader = bus.reader(topic, depth=8)
-        packets = SampleTopic(bus, context.topology.media(stream.name).sent_topic)
+        packets = TopicWriter(bus, context.topology.media(stream.name).sent_topic, wake=True)
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -164,6 +160,6 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
                     frame = lease.audio()
                     data = encoder.encode(frame.samples)
                 sender.handle_packet(data, frame.stamp, clock.now_ns())
-                packets.handle_sample(data, frame.stamp.capture_ns)
+                packets.publish_read(data, frame.stamp.capture_ns)
             outgoing.handle_time(clock.now_ns())
         outgoing.close(clock.now_ns())

@@ -21,7 +21,7 @@ from kontur_av.codecs.healing import recovery_pictures
 from kontur_av.media import CaptureStamp, Quality, VideoCodec
 from kontur_av.rtp.nal_formats import parameter_sets_of
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.session.hand_messages import UNKNOWN_US
+from pipelines.session.page_messages import UNKNOWN_US
 
 #: What a page may have to decode before its first picture: 0.4 s or less in Chromium, measured.
 MOST_PIXELS = 70_000_000

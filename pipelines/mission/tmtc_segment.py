@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
+from pipelines.hand.hand_topics import HandRequest
 from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews
@@ -12,7 +13,7 @@ from pipelines.session.topology import Segment, Topology
 from telepresence.tmtc.pus.dictionary import Dictionary
 
 #: What joystick or robot is asked for.
-HandCommand = bytes | RobotCommand
+HandCommand = HandRequest | RobotCommand
 
 
 class TmtcSegment:

@@ -81,7 +81,7 @@ def run_video_replay(
     with context.open_bus() as bus:
         outlet = VideoOutlet(context, bus, stream)
         end = outlet.end
-        waiter = bus.waiter([outlet.backlogs], [outlet.feedback.fileno()])
+        waiter = bus.waiter([outlet.backlogs.open()], [outlet.feedback.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)

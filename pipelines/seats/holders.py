@@ -12,7 +12,7 @@ from pipelines.seats.open_page import MessageRate, PageTalker
 from pipelines.seats.plan import SeatInput, SeatPlan
 from pipelines.seats.texts import Answered, AnswerText, pack_text, parse_media_request
 from pipelines.session.access import VIEWER_WORDS, Role, place_name
-from pipelines.session.hand_messages import OwnPicture, Ping, pack_pong, parse_media_message
+from pipelines.session.page_messages import OwnPicture, Ping, pack_pong, parse_media_message
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import JoystickEvent
 

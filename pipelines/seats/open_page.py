@@ -29,7 +29,7 @@ from pipelines.media.unit_history import KeptUnit, UnitHistory
 from pipelines.seats.plan import SeatStream
 from pipelines.seats.texts import Via
 from pipelines.session.access import Role
-from pipelines.session.hand_messages import (
+from pipelines.session.page_messages import (
     DAMAGED,
     KEY,
     REPLAYED,

@@ -20,7 +20,7 @@ from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
 from pipelines.seats.texts import pack_text
 from pipelines.seats.upkeep_watch import UpkeepWatch
 from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Found, Role
-from pipelines.session.hand_messages import MOST_SEAT_OCTETS, most_media_octets
+from pipelines.session.page_messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.topology import PAGES, Segment

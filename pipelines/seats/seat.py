@@ -18,8 +18,8 @@ from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
 from pipelines.seats.page_metrics import HOLDER, FiguresLog
 from pipelines.seats.plan import SeatPlan, Shown
 from pipelines.session.access import VIEWER_WORDS, Role, place_name, refusal
-from pipelines.session.hand_messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.mission_messages import RobotStatus
+from pipelines.session.page_messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.session_metrics import gathered
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment

@@ -25,7 +25,7 @@ from pipelines.report.report_file import write_text
 from pipelines.seats.open_page import MessageRate
 from pipelines.seats.seat_sockets import Message, SeatSocket, SeatSockets
 from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Found, Role
-from pipelines.session.hand_messages import MOST_SEAT_OCTETS, parse_seat_message
+from pipelines.session.page_messages import MOST_SEAT_OCTETS, parse_seat_message
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.web_site import WebSite
 from pipelines.study.effects import StudyReport, account_of_study

@@ -5,8 +5,8 @@ from collections.abc import Callable
 from functools import partial
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.files.file_requests import ENTITIES, RATES_BPS
-from pipelines.hand.hand_topics import JoystickStatus
+from pipelines.files.file_requests import ENTITIES
+from pipelines.hand.hand_topics import HandRequest, JoystickStatus
 from pipelines.hand.haptics import JoystickEnd
 from pipelines.hand.robot_commands import RobotCommands
 from pipelines.link.link_metrics import CONNECTED, LinkValues, link_values
@@ -27,6 +27,7 @@ from pipelines.mission.tmtc_messages import (
 from pipelines.mission.tmtc_segment import TmtcSegment
 from pipelines.mission.tmtc_sources import SAMPLE_NS
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
+from pipelines.session.options import FILES_BPS
 from pipelines.session.probe import Probe
 from pipelines.session.process import wait_ns
 from pipelines.session.session_metrics import ProcessState
@@ -107,7 +108,7 @@ class SimulatedTmtc:
             segment: Timer(scene.agenda, partial(self._work, segment)) for segment in Segment
         }
         self.robot_commands: deque[tuple[RobotCommand, int]] = deque(maxlen=_MOST_COMMANDS)
-        self.joystick_commands: deque[bytes] = deque(maxlen=_MOST_COMMANDS)
+        self.joystick_commands: deque[HandRequest] = deque(maxlen=_MOST_COMMANDS)
         self._robot_states: deque[RobotStatus] = deque(maxlen=_MOST_STATES)
         self._joystick_states: deque[JoystickStatus] = deque(maxlen=_MOST_STATES)
         self.links: dict[Segment, LinkValues] = {segment: {} for segment in Segment}
@@ -353,7 +354,7 @@ class SimulatedFiles:
                 entity=ENTITIES[segment],
                 peer=ENTITIES[segment.peer],
                 first_number=0,
-                rate_bps=RATES_BPS[segment],
+                rate_bps=FILES_BPS[segment],
                 now_ns=scene.start_ns,
                 delay_ns=scene.setup.radio_profile.longest_delay_ns,
             )

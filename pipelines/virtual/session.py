@@ -16,7 +16,6 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from pipelines.hand.hand_topics import unpack_status
 from pipelines.hand.haptic_loop import SELDOM
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.replaying import ReplayedEnd
@@ -238,8 +237,7 @@ class Simulation:
             if teller is not None:
                 if tmtc.joystick_commands:
                     teller.handle_telecommand(tmtc.joystick_commands.popleft())
-                octets = teller.poll_status(now_ns)
-                if octets is not None and (status := unpack_status(octets)) is not None:
+                if (status := teller.poll_status(now_ns)) is not None:
                     tmtc.handle_status(status)
             if self._media is not None:
                 handle.blind = view.is_blind(now_ns)

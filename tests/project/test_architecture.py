@@ -72,7 +72,7 @@ SHELLS = {
     "pipelines/seats": "process_page seat_sockets seat_topics upkeep_watch",
     "pipelines/session": (
         "command_process datagrams kept_files launcher machine_checks option_rows options "
-        "page_sockets process served_pages serving_loop sessions terminals topic_ends web_site"
+        "page_sockets process served_pages serving_loop sessions site_file terminals topic_ends web_site"
     ),
     "pipelines/session/setup": "former_names setup_file sources",
     "pipelines/study": "running",

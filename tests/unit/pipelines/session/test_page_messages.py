@@ -8,7 +8,7 @@ import pytest
 from kontur_av.errors import ProtocolError
 from kontur_av.media import empty_picture
 from pipelines.hand.haptic_trace import ROW
-from pipelines.session import hand_messages as messages
+from pipelines.session import page_messages as messages
 from telepresence.haptics.device.page import PageInput
 
 SIZES = {0: (32, 16), 1: None}
