@@ -41,9 +41,9 @@ from pipelines.session.options import (
     add_setup_argument,
     add_source_argument,
 )
+from pipelines.session.recording_requests import write_request
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
-from pipelines.session.terminals import write_request
 from pipelines.session.topology import RECORDER, Segment
 
 

@@ -8,10 +8,6 @@
 | `joystick/state` | joystick | `JoystickStatus`: its state, and what became of the newest command |
 | `arm/order` | desk | who is to drive |
 | `arm/state` | robot | `ArmState`: who drives |
-
-An operator hands the robot's haptic port over. A terminal's request is a line of JSON,
-`{"authority": "partner"}`; an empty one only asks. The answer is
-`{"ok": true, "authority": "operator", ...}` or `{"ok": false, "error": "..."}`.
 """
 
 import struct
@@ -19,7 +15,6 @@ from typing import NamedTuple
 
 import msgspec
 
-from pipelines.session.terminal_lines import LineServer
 from telepresence.haptics.authority import Authority, AuthorityMetrics
 from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
@@ -170,7 +165,7 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(JoystickStatus)
 
 
-#: The name of the Unix socket of its desk.
+#: The name of the arbiter's socket.
 ARM_SOCKET = "arm"
 ARM_ORDER_OCTETS = max(len(authority.value) for authority in Authority)
 ARM_STATE_OCTETS = 256
@@ -207,46 +202,37 @@ class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
         return msgspec.msgpack.decode(octets, type=cls)
 
 
-class AuthorityRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """What a terminal asks. authority: who is to drive, or "" to ask who does; not checked yet."""
+class AuthorityRequest(msgspec.Struct, frozen=True):
+    """What a terminal asks. authority: who is to drive; None only asks who does."""
 
-    authority: object = ""
+    authority: Authority | None = None
 
 
-class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The state, or why not. mistake: the request itself was wrong."""
+class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+    """Who drives; "": nobody. waiting: for a released dead-man button."""
 
-    ok: bool
-    error: str = ""
-    mistake: bool = False
-    authority: str = ""
-    wanted: str = ""
-    waiting: bool = False
+    authority: str
+    wanted: str
+    waiting: bool
 
 
 class ControlArbiter:
     """Takes requests. After each input publish `order`.
 
-    service: takes them. order: who is to drive. It outlives the process: give the last one.
+    order: who is to drive. It outlives the process: give the last one.
     """
 
     def __init__(self, order: Authority = Authority.OPERATOR) -> None:
         self.order = order
         self._state = ArmState(wanted=order.value)
-        self.service = LineServer(AuthorityRequest, self._answer)
 
     def handle_state(self, state: ArmState) -> None:
         """The robot has told who drives."""
         self._state = state
 
-    def _answer(self, request: AuthorityRequest, _now_ns: int) -> AuthorityAnswer:
-        wanted = request.authority
-        if wanted != "":
-            if wanted not in AUTHORITIES:
-                error = f"no authority {wanted}: take {' or '.join(AUTHORITIES)}"
-                return AuthorityAnswer(ok=False, error=error, mistake=True)
-            self.order = Authority(wanted)
+    def handle_request(self, request: AuthorityRequest, _now_ns: int) -> AuthorityAnswer:
+        self.order = request.authority or self.order
         state = self._state
         return AuthorityAnswer(
-            ok=True, authority=state.authority, wanted=self.order.value, waiting=state.waiting
+            authority=state.authority, wanted=self.order.value, waiting=state.waiting
         )

@@ -15,8 +15,8 @@ from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import Address
 from pipelines.session.mission_messages import LedsShown, PanelShown
-from pipelines.session.process import Context
-from pipelines.session.terminals import serve_terminals
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.requests import RequestServer
 from pipelines.session.topic_ends import MissionWriter, NumberedTopic
 from pipelines.session.topology import (
     JOYSTICK_STATE_TOPIC,
@@ -28,7 +28,7 @@ from pipelines.session.topology import (
     leds_port,
     link_state_topic,
 )
-from pipelines.session.training import TRAINER_SOCKET, Trainer, TrainerReach
+from pipelines.session.training import TRAINER_SOCKET, Trainer, TrainerReach, TrainerRequest
 from telepresence.haptics.device.states import JoystickState
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import STATE_OCTETS, LedPanel
@@ -129,13 +129,21 @@ _OCTETS = 4096
 
 def run_trainer(context: Context) -> None:
     """Take requests, and publish what lasts."""
+    now_ns = context.clock.now_ns
     trainer = Trainer(context.probe, TrainerReach.of(context.topology))
     context.on_flush(trainer.publish)
-    with context.open_bus() as bus:
+    with (
+        context.open_bus() as bus,
+        RequestServer(
+            context,
+            TRAINER_SOCKET,
+            TrainerRequest,
+            lambda request, _: trainer.handle_request(request, now_ns()),
+        ) as server,
+    ):
         writer = NumberedTopic(bus, TRAINER_TOPIC, max_octets=_OCTETS)
-
-        def publish(now_ns: int) -> None:
-            if (exercises := trainer.poll_exercises(now_ns)) is not None:
-                writer.publish_octets(exercises.pack(), now_ns)
-
-        serve_terminals(context, TRAINER_SOCKET, trainer.service, publish)
+        while not context.stopping:
+            context.tick(now_ns())
+            server.serve(TIMEOUT_NS)
+            if (exercises := trainer.poll_exercises(now_ns())) is not None:
+                writer.publish_octets(exercises.pack(), now_ns())

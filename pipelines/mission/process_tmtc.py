@@ -11,7 +11,6 @@ outlives the process.
 import secrets
 from collections import deque
 from collections.abc import Callable
-from socket import socket
 
 import msgspec
 
@@ -27,12 +26,14 @@ from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import (
     MAX_NEWS_OCTETS,
+    MAX_REQUEST_OCTETS,
     FunctionAsked,
+    TmtcRequest,
     Values,
     pack_news,
     unpack_news,
 )
-from pipelines.mission.tmtc_socket import TmtcSocket, send_to_tmtc, write_dictionary
+from pipelines.mission.tmtc_socket import send_to_tmtc, tmtc_socket_name, write_dictionary
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import (
@@ -43,6 +44,7 @@ from pipelines.session.mission_messages import (
     unpack,
 )
 from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.requests import RequestServer
 from pipelines.session.session_metrics import ProcessState
 from pipelines.session.topic_ends import NumberedTopic, SampleTopic, unpack_state
 from pipelines.session.topology import (
@@ -166,13 +168,16 @@ class TmtcServer:
         self._commands = NumberedTopic(bus, commands, max_octets=octets, wake=True)
         make_session_root(context.session)
         write_dictionary(context.session, dictionary)
-        self._requests = TmtcSocket(context.session, segment)
+        self._now_ns = now_ns
+        #: Wait for it, too.
+        self.requests = RequestServer(
+            context,
+            tmtc_socket_name(segment),
+            TmtcRequest,
+            lambda request, _: self.end.handle_request(request, self._now_ns),
+            most_octets=MAX_REQUEST_OCTETS,
+        )
         context.on_flush(lambda: self.end.publish(context.probe))
-
-    @property
-    def socket(self) -> socket:
-        """What to wait for besides time: requests."""
-        return self._requests.socket
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
         """A datagram of the flow; False if it is not one of PUS. Call `work` afterwards."""
@@ -185,8 +190,8 @@ class TmtcServer:
         for reader, take in self._topics:
             while (octets := reader.next_octets()) is not None:
                 take(octets, now_ns)
-        while (request := self._requests.receive()) is not None:
-            end.handle_octets(request, now_ns)
+        self._now_ns = now_ns
+        self.requests.serve()
         while (told := self._context.receive_metrics()) is not None:
             self._supervisor.handle_told(_STATES_TOLD.decode(told), now_ns)
         while (done := self._supervisor.next_event()) is not None:
@@ -212,10 +217,6 @@ class TmtcServer:
         due_ns = self.end.poll_timeout(now_ns)
         return most_ns if due_ns is None else min(most_ns, max(0, due_ns - now_ns))
 
-    def close(self) -> None:
-        """Take no more requests."""
-        self._requests.close()
-
 
 def run_selector(context: Context) -> None:
     """Keep the choice of the camera, and change it by telecommand."""
@@ -238,7 +239,7 @@ def run_selector(context: Context) -> None:
         newest_request = -1
         asked: deque[FunctionAsked] = deque()
         service = TmtcServer(context, bus, Segment.GROUND, to_gateway, asked.append)
-        waiter = bus.waiter([reader], [udp.fileno(), service.socket.fileno()])
+        waiter = bus.waiter([reader], [udp.fileno(), service.requests.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -264,7 +265,7 @@ def run_selector(context: Context) -> None:
             wait_ns = 0 if asked else min(TIMEOUT_NS, choice.poll_timeout() - now_ns)
             waiter.wait(service.wait_ns(now_ns, max(0, wait_ns)))
         del waiter
-        service.close()
+        service.requests.close()
 
 
 def run_console(context: Context) -> None:
@@ -277,7 +278,7 @@ def run_console(context: Context) -> None:
         if context.setup.hand != "direct":
             walls = NumberedTopic(bus, WALL_TOPIC, max_octets=WALL_OCTETS)
         service = TmtcServer(context, bus, Segment.SPACE, to_gateway)
-        waiter = bus.waiter([], [udp.fileno(), service.socket.fileno()])
+        waiter = bus.waiter([], [udp.fileno(), service.requests.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -290,7 +291,7 @@ def run_console(context: Context) -> None:
             service.work(now_ns)
             waiter.wait(service.wait_ns(now_ns, TIMEOUT_NS))
         del waiter
-        service.close()
+        service.requests.close()
 
 
 _DEPTH = 32

@@ -37,8 +37,8 @@ from pipelines.recording.session_messages import (
     Instants,
     SessionMessages,
 )
+from pipelines.session.recording_requests import PartLimits
 from pipelines.session.session_metrics import SampleNumbers
-from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Topology
 
 #: After a fault of the disk, a new part is tried this often.

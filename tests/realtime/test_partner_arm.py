@@ -73,7 +73,9 @@ def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start
     session = start_lab("shared")
     pids = session.pids()
     session.wait_for_flow()
-    eventually(lambda: authority(session).stdout == "operator drives\n", "the joystick in space drives")
+    eventually(
+        lambda: authority(session).stdout == "operator drives\n", "the joystick in space drives"
+    )
     with Partner(session, tmp_path / "partner.txt") as partner:
         hand_over(session, "partner")
         partner.wait_for("answers")
