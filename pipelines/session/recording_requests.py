@@ -134,7 +134,7 @@ def hold_recording(
         over = ended() or (end_s is not None and time.monotonic() >= end_s)
         try:
             answer = client.ask(AskRecording(), RecordAnswer)
-            if over and answer.file == options.file:
+            if over and answer.file:
                 answer = client.ask(StopRecording(), RecordAnswer)
         except OSError:
             client.close()
@@ -142,7 +142,7 @@ def hold_recording(
                 return None
             client = returned
             continue
-        if over or answer.file != options.file:
+        if over or not answer.file:
             client.close()
             return answer
         if answer.fault and answer.fault != fault:
