@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, one_of
 from pipelines.commands.common import acting_on
 from pipelines.hand.hand_topics import ARM_SOCKET, AUTHORITIES, AuthorityAnswer, AuthorityRequest
 from pipelines.session.option_rows import add_options
@@ -36,7 +36,9 @@ def run(args: argparse.Namespace) -> int:
     if not running:
         raise ConfigError(_MISSING)
     session = acting_on(args.session, running, moves=bool(args.authority))
-    wanted = AuthorityRequest(Authority(args.authority) if args.authority else None)
+    wanted = AuthorityRequest()
+    if args.authority:
+        wanted = AuthorityRequest(Authority(one_of(args.authority, AUTHORITIES, "authority")))
     end_s = time.monotonic() + _TIMEOUT_S
     try:
         answer = ask(session, ARM_SOCKET, wanted, AuthorityAnswer)
