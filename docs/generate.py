@@ -271,7 +271,8 @@ def _rows(parser: argparse.ArgumentParser) -> list[tuple[str, str]]:
     """Each option with its value, and what it means."""
     rows = []
     for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction | argparse._HelpAction):
+        hidden = "-h" in action.option_strings or action.help == argparse.SUPPRESS
+        if hidden or isinstance(action, argparse._SubParsersAction):
             continue
         value = action.metavar or ("|".join(map(str, action.choices)) if action.choices else "")
         if isinstance(value, tuple):

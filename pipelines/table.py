@@ -1,6 +1,7 @@
 """The table of a session: the rows of every room, gathered."""
 
 from collections.abc import Callable
+from typing import Any
 
 from pipelines.files.rows import process_rows as files_room
 from pipelines.foxglove.rows import process_rows as foxglove_rows
@@ -17,9 +18,6 @@ from pipelines.seats.rows import process_rows as seats
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import ProcessRow, SessionOptions, Topology
-from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.specs import SIMULATED
-from telepresence.tmtc.telemetry_source import Component
 
 #: Within a stage, processes start in the order of the rooms.
 ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
@@ -39,54 +37,19 @@ ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (
 
 
 def topology_of(
-    setup: Setup,
-    *,
-    joystick: str = SIMULATED,
-    robot: str = SIMULATED_ROBOT,
-    second_robot: str = SIMULATED_ROBOT,
-    snapshots: bool = False,
-    pages: bool = False,
-    recorder: bool = False,
-    trainer: bool = False,
-    tasks: bool = False,
-    metrics: bool = False,
-    foxglove: bool = False,
-    packets: bool = False,
-    frames: bool = False,
-    ros2: bool = False,
-    files: bool = False,
-    bypass: bool = False,
-    components: tuple[Component, ...] = (),
-    segments: tuple[Segment, ...] = tuple(Segment),
+    setup: Setup, *, segments: tuple[Segment, ...] = tuple(Segment), **options: Any
 ) -> Topology:
     """The table of a session of `setup`.
 
-    The options are those of `SessionOptions`. segments: those that run on this machine.
+    options: fields of `SessionOptions`. segments: those that run on this machine.
     """
-    options = SessionOptions(
-        joystick=joystick,
-        robot=robot,
-        second_robot=second_robot,
-        snapshots=snapshots,
-        pages=pages,
-        recorder=recorder,
-        trainer=trainer,
-        tasks=tasks,
-        metrics=metrics,
-        foxglove=foxglove,
-        packets=packets,
-        frames=frames,
-        ros2=ros2,
-        files=files,
-        bypass=bypass,
-        components=components,
-    )
-    both = SessionOptions(pages=True, tasks=True, components=components)
+    own = SessionOptions(**options)
+    both = SessionOptions(pages=True, tasks=True, components=own.components)
     every = _process_rows(setup, both, segments)
     return Topology(
         setup=setup,
-        options=options,
-        processes=_process_rows(setup, options, segments),
+        options=own,
+        processes=_process_rows(setup, own, segments),
         supervised=tuple(row for row in every if row.segment is not None),
         segments=segments,
     )

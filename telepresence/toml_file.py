@@ -11,7 +11,7 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -72,12 +72,18 @@ def typed(table: Mapping[str, Any], kind: type[_Table], what: str) -> _Table:
     """
     check_known(table, kind)
     try:
-        return msgspec.convert(table, kind)
+        return msgspec.convert(table, kind, dec_hook=_path)
     except msgspec.ValidationError as error:
         match = _MESSAGE.fullmatch(str(error))
         assert match is not None
         wrong, path = match[1], match[2] or ""
         raise ConfigError(_told(wrong, path, table, kind, what)) from None
+
+
+def _path(kind: type, value: object) -> object:
+    if kind is not Path or not isinstance(value, str):
+        raise ValueError("a path in quotes")
+    return Path(value)
 
 
 def _check_known(
@@ -143,12 +149,19 @@ def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
 def _wanted(wrong: str, name: str, field: Field[Any] | None, holder: type) -> str:
     if field is not None and "like" in field.metadata:
         return str(field.metadata["like"])
+    if field is not None and wrong.startswith("Invalid enum value"):
+        hint = field.type
+        (choices,) = (one for one in (hint, *get_args(hint)) if get_origin(one) is Literal)
+        return f"one of {', '.join(get_args(choices))}"
     match = re.match(r"Expected `([a-z]+)", wrong)
     expected = match[1] if match else ""
     if expected == "object":
         known = ", ".join(each.name for each in fields(holder))
         return f"a table with {known}: a table [{name}]"
     if expected == "array":
+        hint = None if field is None else field.type
+        if any(get_args(each)[:1] in ((str,), (Path,)) for each in (hint, *get_args(hint))):
+            return "a list of texts in quotes"
         return f"tables [[{name}]]"
     return _WORDS.get(expected, wrong)
 

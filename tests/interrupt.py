@@ -32,8 +32,7 @@ from running_session import RunningSession, eventually  # noqa: E402
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock  # noqa: E402
 from kontur_av.topics.bus import TopicBus  # noqa: E402
-from pipelines.hand.haptic_trace import NO_SAMPLE, rows_of  # noqa: E402
-from pipelines.session.topology import ROBOT_TRACE_TOPIC  # noqa: E402
+from pipelines.hand.haptic_trace import NO_SAMPLE, ROBOT_TRACE_TOPIC, rows_of  # noqa: E402
 
 PERIOD_NS = 4 * NS_PER_MS
 #: A robot that was interrupted comes to rest in this time, and so does one that was let go.

@@ -98,7 +98,11 @@ def _commands(
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             below += action.choices.items()
-        elif action.option_strings and action.dest != "help":
+        elif (
+            action.option_strings
+            and not action.dest.startswith("help")
+            and action.help != argparse.SUPPRESS
+        ):
             options.append(tuple(action.option_strings))
     if words and (options or not below):
         yield words, options

@@ -14,8 +14,8 @@ from benchmarks.page.session import TIMEOUT_S, live_session
 from benchmarks.page.views import numbers
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from kontur_av.topics.bus import Reader, TopicBus
-from pipelines.hand.hand_topics import unpack_input
-from pipelines.session.topology import HAND_INPUT_TOPIC, Segment
+from pipelines.hand.hand_topics import HAND_INPUT_TOPIC
+from pipelines.session.topology import Segment
 from telepresence.haptics.device.page import PageInput
 
 _STEP_S = 0.025
@@ -100,7 +100,7 @@ def _newest(reader: Reader) -> PageInput | None:
     if lease is None:
         return None
     with lease:
-        return unpack_input(lease.octets())
+        return HAND_INPUT_TOPIC.unpack(lease.octets())
 
 
 class _Pointer:

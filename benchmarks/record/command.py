@@ -26,13 +26,13 @@ from benchmarks.record.run import kills
 from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_report
 from pipelines.report.report_file import TableConsole, check_writable, open_console, write_result
-from pipelines.session.options import add_setup_argument
+from pipelines.session.options import add_session_options
 from pipelines.session.setup.setup_file import load_setup
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `python -m benchmarks record`."""
-    add_setup_argument(parser, default="spacejustin")
+    add_session_options(parser, "setup=spacejustin")
     parser.add_argument(
         "--kills", type=int, default=20, metavar="N", help="of the recorder (default 20)"
     )

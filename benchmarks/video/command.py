@@ -39,12 +39,7 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.command import FPS, Trial, TrialTerms, check_options, measure
 from pipelines.bench.video.contenders import Contender, ContenderError
-from pipelines.bench.video.quality import (
-    VideoVerdict,
-    headlines,
-    judge,
-    notes,
-)
+from pipelines.bench.video.quality import VideoVerdict, headlines, judge, notes
 from pipelines.report.charts import distributions, save
 from pipelines.report.report_file import open_console, write_result
 from pipelines.report.result import Headline, Json, as_json, headline_tables

@@ -29,14 +29,7 @@ from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.opus import OpusDecoder
 from kontur_av.errors import ConfigError, ProtocolError
-from kontur_av.media import (
-    AUDIO_CLOCK_HZ,
-    BLOCK_NS,
-    BLOCK_SAMPLES,
-    VIDEO_CODECS,
-    Pcm,
-    VideoCodec,
-)
+from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_NS, BLOCK_SAMPLES, VIDEO_CODECS, Pcm, VideoCodec
 from kontur_av.sources.fit import scaled_aspect
 from kontur_av.sources.instants import RisingInstants
 from kontur_av.sources.looped import LoopedAudio, LoopedVideo, PlayedPicture

@@ -5,7 +5,6 @@ outer halves shows both sides of the tool at the bit rate of one camera (Kontur-
 above the plane that both see is elsewhere in each: `SeamFinder` cuts beside that.
 """
 
-import struct
 from dataclasses import dataclass
 
 import cv2
@@ -112,8 +111,6 @@ def _less(left: I420, right: I420, rows: int, columns: slice) -> NDArray[np.floa
     return np.asarray(one - other)
 
 
-#: In a topic: when the older half of a merged picture was captured (ns).
-HALF = struct.Struct("=q")
 #: Pictures that are closer would have the same RTP timestamp.
 _LEAST_STEP_NS = NS_PER_MS
 

@@ -1,7 +1,7 @@
 """Lip-sync: how early and how late a sound may be against its picture (ITU-R BT.1359-1)."""
 
-import struct
 from collections import deque
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 
@@ -10,9 +10,13 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 EARLIEST_NS = 45 * NS_PER_MS
 LATEST_NS = 125 * NS_PER_MS
 
-#: A message to another process of the same machine: instant of display and time since the capture,
-#: both in ns.
-LAG = struct.Struct("=qq")
+
+class Lag(NamedTuple):
+    """How late a picture was shown: its instant and the time since its capture, both in ns."""
+
+    shown_ns: int
+    lag_ns: int
+
 
 #: The sound waits for this share of the pictures of the last 2 s.
 _WINDOW_NS = 2 * NS_PER_S

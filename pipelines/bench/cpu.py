@@ -19,7 +19,7 @@ from pipelines.bench.session import live_report
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, titled_table
 from pipelines.session.option_rows import add_options
-from pipelines.session.options import add_setup_argument
+from pipelines.session.options import add_session_options
 from pipelines.session.setup.setup_file import load_setup
 
 _THIS_TREE = Path(str(pipelines.__file__)).parent.parent
@@ -56,7 +56,7 @@ class CpuResult:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_setup_argument(parser, default="spacejustin")
+    add_session_options(parser, "setup=spacejustin")
     add_options(
         parser,
         "--against DIR <Path>  another checkout, measured in turn with this",

@@ -16,23 +16,14 @@ from kontur_av.errors import ConfigError
 from pipelines.bench.session import live_session
 from pipelines.report.charts import check_plot, lead_chart, save
 from pipelines.report.journeys import STAGES
-from pipelines.report.model import (
-    ContentSkew,
-    Ranks,
-    SessionReport,
-    SkewReport,
-    Spread,
-    VideoLead,
-)
+from pipelines.report.model import ContentSkew, Ranks, SessionReport, SkewReport, Spread, VideoLead
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, titled_table
 from pipelines.report.sync_metrics import LIMITS
 from pipelines.report.terms import TERMS
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import (
-    add_deadband_argument,
-    add_radio_argument,
-    add_setup_argument,
+    add_session_options,
     radio_change,
 )
 from pipelines.session.setup.setup_file import BUILT_IN, load_setup
@@ -140,15 +131,14 @@ VIRTUAL_CLOCK = ClockMethod("one virtual clock for all", 0.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_setup_argument(parser, default="spacejustin")
+    add_session_options(parser, "setup=spacejustin")
     add_options(parser, "--seconds S <float=20.0>  of virtual time (default 20)")
     live = parser.add_mutually_exclusive_group()
     live.add_argument(
         "--live-seconds", type=float, default=20.0, metavar="S", help="of real time (default 20)"
     )
     live.add_argument("--no-live", action="store_true", help="virtual time only")
-    add_radio_argument(parser, default="clean")
-    add_deadband_argument(parser)
+    add_session_options(parser, "radio=clean", "deadband")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's losses")
     parser.add_argument(
         "--base-port", type=int, default=27_000, metavar="P", help="of the live run"
@@ -254,7 +244,7 @@ def _setups(args: argparse.Namespace) -> list[Setup]:
     """The chosen setup first, then the other built-in ones, all with the chosen radio."""
     chosen = load_setup(args.setup)
     others = [setup for name, setup in BUILT_IN.items() if name != chosen.name]
-    changes = radio_change(args.radio)
+    changes = dict(radio_change(args.radio))
     if args.deadband is not None:
         changes["deadband"] = args.deadband
     # Check the port of the live run before anything is measured.

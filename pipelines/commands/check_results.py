@@ -7,12 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from kontur_av.clock import NS_PER_S
-from pipelines.report.model import (
-    CheckReport,
-    FigureReport,
-    JoystickTestReport,
-    TransitionReport,
-)
+from pipelines.report.model import CheckReport, FigureReport, JoystickTestReport, TransitionReport
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CheckBench

@@ -1,6 +1,5 @@
 """The common part of commands: options, and the session that is meant."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 
@@ -10,7 +9,7 @@ from pipelines.session.sessions import started_here
 from telepresence.haptics.udp_line import unprotected
 
 
-def check_options(args: argparse.Namespace, *options: str) -> None:
+def check_options(args: object, *options: str) -> None:
     """Raise ConfigError for numbers that are not above 0: `--seconds`, and those of `options`."""
     for option in (*options, "seconds"):
         value = getattr(args, option)

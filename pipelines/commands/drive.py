@@ -13,7 +13,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.rtc_options import (
-    add_ice_arguments,
+    ICE,
     add_token_arguments,
     ice_servers_of,
     token_of,
@@ -23,6 +23,7 @@ from pipelines.hand.partner_arm import run_side, told
 from pipelines.partner.whip import Far
 from pipelines.session.datagrams import Outlet, OwnOutlet, listen_alone, own_path
 from pipelines.session.option_rows import add_options, refuse_options
+from pipelines.session.options import add_session_options, stream_options
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import PARTNER_GIVEN, PARTNER_TAKEN
 from telepresence.haptics.bilateral import JoystickSide
@@ -52,7 +53,7 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
         "--rtc URL  a session across the Internet: what `stream --rtc` prints, up to the port",
     )
     add_token_arguments(parser)
-    add_ice_arguments(parser)
+    add_session_options(parser, *ICE)
     add_options(parser, "--seconds")
 
 
@@ -77,7 +78,7 @@ def reached(
     args: argparse.Namespace, who: str
 ) -> Iterator[tuple[socket.socket, Outlet | OwnOutlet]]:
     """The socket on which the peer's samples come, and where those of `who` go."""
-    token, servers = token_of(args), ice_servers_of(args, may_be_named=True)
+    token, servers = token_of(args), ice_servers_of(stream_options(args), may_be_named=True)
     if args.rtc is not None:
         with Far(args.rtc, token, servers, who=who) as far:
             yield far.own, far.to_session

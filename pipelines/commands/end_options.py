@@ -1,41 +1,15 @@
 """The options of one end of a link that is split between two machines; whose an option is."""
 
-import argparse
 from dataclasses import replace
 
 from kontur_av.errors import ConfigError
 from pipelines.link.own_ends import EndChoice, chosen_end
-from pipelines.session.option_rows import add_options, refuse_options
+from pipelines.session.option_rows import refuse_options
+from pipelines.session.options import StreamOptions
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import Segment, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.specs import SIMULATED
-
-
-def add_end_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        f"--end <{'|'.join(segment.value for segment in Segment)}>  run this end alone; the other "
-        "runs on another machine",
-        "--listen ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is "
-        "every address",
-        "--peer HOST:PORT  with --end: call the other end, which listens there",
-        "--key",
-        "--identity ID  with --end: the other machine's identity, if several are trusted",
-        "--insecure  with --end: neither encrypt nor authenticate; on a private network only",
-    )
-
-
-def add_session_end_arguments(parser: argparse.ArgumentParser) -> None:
-    """The same, and what else both ends or one may have in a whole session."""
-    add_end_arguments(parser)
-    add_options(
-        parser,
-        "--trainer  heed `kontur-av trainer`; with --end space, the radio of both directions is "
-        "here",
-        "--bypass  for tests, with both ends here: join the programs directly, past gateways and "
-        "radio",
-    )
 
 
 def inputs_here(topology: Topology) -> tuple[str, ...]:
@@ -43,7 +17,7 @@ def inputs_here(topology: Topology) -> tuple[str, ...]:
     return tuple(row.name for row in topology.inputs if topology.runs(row.process))
 
 
-def ends_here(args: argparse.Namespace, setup: Setup) -> tuple[Topology, EndChoice | None]:
+def ends_here(args: StreamOptions, setup: Setup) -> tuple[Topology, EndChoice | None]:
     """The table of the ends that run here, and the only one if it is alone.
 
     ConfigError for the first option of `stream` that belongs to the other end.
@@ -56,7 +30,7 @@ def ends_here(args: argparse.Namespace, setup: Setup) -> tuple[Topology, EndChoi
     return plan, one
 
 
-def _check_own_options(args: argparse.Namespace, topology: Topology, end: Segment) -> None:
+def _check_own_options(args: StreamOptions, topology: Topology, end: Segment) -> None:
     if end is Segment.GROUND and args.joystick != SIMULATED:
         raise ConfigError("--joystick: the joystick is in space; give it at --end space")
     if end is Segment.SPACE:

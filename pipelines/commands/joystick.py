@@ -7,21 +7,12 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands import drive
-from pipelines.commands.check_results import (
-    SETUP_ROW,
-    axes_of,
-    joystick_report,
-    print_results,
-)
+from pipelines.commands.check_results import SETUP_ROW, axes_of, joystick_report, print_results
 from pipelines.commands.common import say_unprotected
 from pipelines.hand.driver_checks import JoystickCheck, run_live, run_virtually
 from pipelines.hand.timed_calls import timed
 from pipelines.report.report_file import WordsConsole, check_writable, write_report
-from pipelines.session.command_process import (
-    ended_alike,
-    output_that_may_fail,
-    stopped_by_signals,
-)
+from pipelines.session.command_process import ended_alike, output_that_may_fail, stopped_by_signals
 from pipelines.session.option_rows import add_actions
 from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench

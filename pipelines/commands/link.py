@@ -4,7 +4,6 @@ import argparse
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.end_options import add_end_arguments
 from pipelines.commands.live_session import with_status
 from pipelines.link.own_ends import (
     chosen_addresses,
@@ -20,31 +19,31 @@ from pipelines.report.report_file import check_writable, save_report, say_failur
 from pipelines.report.seat_feed import processes_now
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.option_rows import add_options
-from pipelines.session.options import add_radio_arguments, add_setup_argument, asked_setup
+from pipelines.session.options import add_session_options, asked_setup, stream_options
 from pipelines.session.topology import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_setup_argument(parser)
-    add_radio_arguments(parser, delay=False)
-    add_options(parser, "--seconds", "--report", "--base-port")
-    add_end_arguments(parser)
+    add_session_options(parser, "setup!", "radio", "radio_start", "seed", "seconds", "report")
+    add_session_options(
+        parser, "base_port", "end", "listen", "peer", "key", "identity", "insecure", "quiet"
+    )
     add_options(
         parser,
         "--apps HOST  where the programs run, if not here",
         "--apps-bind ADDRESS  this machine's address that they send to",
-        "-q",
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the link until it is told to end; 1 if its report names a failure."""
-    setup = asked_setup(args)
+    options = stream_options(args)
+    setup = asked_setup(options)
     check_options(args)
     topology = topology_of(setup)
-    one = chosen_end(args, topology)
+    one = chosen_end(options, topology)
     ends = list(Segment) if one is None else [one.segment]
     addresses = chosen_addresses(args)
     check_writable(args.report)

@@ -1,6 +1,5 @@
 """What the live commands have in common: the table in the terminal, and the report at the end."""
 
-import argparse
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,36 +17,32 @@ from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.kept_files import KeptOrders, NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
-from pipelines.session.option_rows import add_options
 from pipelines.session.topology import Segment
 from pipelines.upkeep.requests import status_teller
 from telepresence.upkeep.version_stack import status_of
 
 
-def add_live_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser, "--base-port", "--report", "--snapshots DIR <Path>  keep what is shown as PNG"
-    )
-    loudness = parser.add_mutually_exclusive_group()
-    add_options(loudness, "-v, --verbose  show each process' CPU", "-q")
+def made_directory(path: Path, option: str, *, make: bool = True) -> Path:
+    """The directory of an option, which is made if need be; ConfigError if it cannot be.
 
-
-def made_directory(path: Path | None, option: str) -> Path | None:
-    """The directory of an option, which is made if need be; ConfigError if it cannot be."""
-    if path is None:
-        return None
+    make: False to find out only whether it could be.
+    """
+    whole = path.absolute()
     with refused(f"{option} {path}"):
-        path.mkdir(parents=True, exist_ok=True)
-    if not os.access(path, os.W_OK):
+        if make:
+            whole.mkdir(parents=True, exist_ok=True)
+        there = next(folder for folder in (whole, *whole.parents) if folder.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
         raise ConfigError(f"{option} {path}: cannot be written to; choose another directory")
-    return path.absolute()
+    return whole
 
 
 def end_session(
-    args: argparse.Namespace,
     collector: Collector,
     launcher: Launcher,
     *,
+    report_file: Path | None,
+    quiet: bool,
     replay: ReplayReport | None = None,
 ) -> int:
     """Write and print the report of a session that has ended; 1 if it names a failure."""
@@ -57,7 +52,7 @@ def end_session(
         report = msgspec.structs.replace(report, trace=end_trace(collector, launcher))
     if replay is not None:
         report = msgspec.structs.replace(report, replay=replay)
-    return end_report(report, args.report, quiet=args.quiet)
+    return end_report(report, report_file, quiet=quiet)
 
 
 def with_status(

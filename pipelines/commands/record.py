@@ -10,6 +10,7 @@ from pipelines.commands.common import acting_on, check_options
 from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options
+from pipelines.session.options import StreamOptions, add_session_options, stream_options
 from pipelines.session.recording_requests import (
     RECORDER_SOCKET,
     RecordingOptions,
@@ -23,23 +24,7 @@ from pipelines.session.setup.table import Setup
 _LEAST_S, _LEAST_MB = 1.0, 0.1
 
 
-def add_record_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--record", type=Path, metavar="FILE.mcap", help="record the session")
-    add_recording_arguments(parser)
-
-
-def add_recording_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        "--overwrite  replace a recording of that name",
-        "--link-frames  record every frame of the radio link, too",
-        "--part-seconds S <float=600.0>  begin a new part of the recording after S seconds "
-        "(default 600)",
-        "--part-mb M <float=256.0>  or after M MB (default 256)",
-    )
-
-
-def options_of(args: argparse.Namespace, *, held: bool) -> RecordingOptions | None:
+def options_of(args: StreamOptions, *, held: bool) -> RecordingOptions | None:
     """Return what the options request; None without a file; ConfigError for what cannot be.
 
     held: the recording ends when its terminal has gone.
@@ -62,7 +47,7 @@ def options_of(args: argparse.Namespace, *, held: bool) -> RecordingOptions | No
     )
 
 
-def checked_options(args: argparse.Namespace, setup: Setup) -> RecordingOptions | None:
+def checked_options(args: StreamOptions, setup: Setup) -> RecordingOptions | None:
     """As `options_of`, for a session about to begin; ConfigError if it cannot be recorded."""
     options = options_of(args, held=False)
     if options is not None:
@@ -74,7 +59,7 @@ def checked_options(args: argparse.Namespace, setup: Setup) -> RecordingOptions 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "record FILE.mcap <Path>  what to write", "--session", "--seconds")
-    add_recording_arguments(parser)
+    add_session_options(parser, "overwrite", "link_frames", "part_seconds", "part_mb")
     parser.description = (
         "Record a running session until Ctrl-C, or until it ends. The session goes on. "
         "Exit code 1 if messages were lost."
@@ -84,7 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """0 once the recording is whole; 1 if messages are missing in it."""
     check_options(args)
-    options = options_of(args, held=True)
+    options = options_of(stream_options(args), held=True)
     assert options is not None
     check_recordable(Path(options.file), overwrite=args.overwrite)
     session = acting_on(args.session, running_sessions(RECORDER_SOCKET))

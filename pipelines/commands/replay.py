@@ -6,7 +6,7 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options
-from pipelines.commands.live_session import add_live_arguments, end_session, made_directory
+from pipelines.commands.live_session import end_session, made_directory
 from pipelines.recording.process_replaying import ReplayStart, replayed_session
 from pipelines.recording.recorded_session import RecordedSession
 from pipelines.recording.replay_setup import load_replay
@@ -16,7 +16,7 @@ from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.option_rows import add_options
-from pipelines.session.options import add_coding_arguments, add_radio_arguments, add_setup_argument
+from pipelines.session.options import add_coding_arguments, add_session_options
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room
 from pipelines.session.setup.table import Setup, VideoStream
@@ -30,7 +30,7 @@ _TAIL_NS = 200 * NS_PER_MS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE.mcap", type=Path, help="a recording")
-    add_setup_argument(parser, needed=False)
+    add_session_options(parser, "setup")
     add_options(
         parser,
         "--seconds S <float>  send its first S seconds only",
@@ -38,9 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "one with voices)",
     )
     add_coding_arguments(parser)
-    add_radio_arguments(parser)
+    add_session_options(parser, "radio", "radio_start", "radio_delay_ms", "seed", "base_port")
+    add_session_options(parser, "report", "snapshots", "verbose", "quiet")
     parser.set_defaults(seed=None)
-    add_live_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     recorded, setup = load_replay(args, args.file, speed=args.speed)
     if args.seconds is not None:
         recorded = recorded.begin(args.seconds)
-    snapshots = made_directory(args.snapshots, "--snapshots")
+    snapshots = args.snapshots and made_directory(args.snapshots, "--snapshots")
     check_writable(args.report)
     clear_dead_sessions()
     check_room(setup, setup.inputs)
@@ -82,7 +82,9 @@ def run(args: argparse.Namespace) -> int:
         launcher.run(length_ns / NS_PER_S)
     held.close()
     replay = _replay_report(recorded, setup, args)
-    return end_session(args, collector, launcher, replay=replay)
+    return end_session(
+        collector, launcher, report_file=args.report, quiet=args.quiet, replay=replay
+    )
 
 
 def _replay_report(

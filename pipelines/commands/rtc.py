@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
 from pipelines.commands.rtc_options import (
-    add_ice_arguments,
+    ICE,
     add_token_arguments,
     ice_servers_of,
     token_of,
@@ -32,6 +32,7 @@ from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_actions
+from pipelines.session.options import add_session_options, stream_options
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import base_url, bound_server, served
 
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_token_arguments(serve)
     add_sending_arguments(serve)
     add_output_arguments(serve)
-    add_ice_arguments(serve)
+    add_session_options(serve, *ICE)
     add_run_arguments(serve)
 
 
@@ -83,7 +84,7 @@ def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
 
 
 async def _serve(args: argparse.Namespace) -> RtcCommandReport:
-    clock, sends, servers = MonotonicClock(), sends_of(args), ice_servers_of(args)
+    clock, sends, servers = MonotonicClock(), sends_of(args), ice_servers_of(stream_options(args))
     begin_s = time.monotonic()
     with _listening(args) as listener, closing(PartnerOutput(args, clock)) as output:
         programme = Programme(_NAME, sends=sends, want_key=lambda _: sources.want_key())

@@ -8,8 +8,11 @@ from collections.abc import Callable
 from kontur_av.errors import ConfigError
 from pipelines.partner.ice_servers import IceServer, IceServers, timed_credentials
 from pipelines.session.option_rows import add_options, refuse_options
+from pipelines.session.options import StreamOptions
 from telepresence.private_file import read_secret
 
+#: The options of STUN and TURN servers.
+ICE = (*("ice_server", "turn_secret_file", "turn_user", "turn_password_file", "ice_relay_only"),)
 #: What an HTTP header can carry (RFC 6750 section 2.1).
 _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{1,4096}")
 
@@ -41,22 +44,7 @@ def token_of(args: argparse.Namespace) -> str:
     return token
 
 
-def add_ice_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        "--ice-server URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what "
-        "the media server names, if there is one)",
-        "--turn-secret-file FILE <Path>  the secret shared with a TURN server, for credentials of "
-        "one hour (coturn's use-auth-secret)",
-        "--turn-user NAME  a lasting user name of the server",
-        "--turn-password-file FILE <Path>  with --turn-user",
-        "--ice-relay-only  go through the TURN server only, and tell no address of this machine",
-    )
-
-
-def ice_servers_of(
-    args: argparse.Namespace, *, may_be_named: bool = False
-) -> Callable[[], IceServers]:
+def ice_servers_of(args: StreamOptions, *, may_be_named: bool = False) -> Callable[[], IceServers]:
     """Return what makes the servers of a new connection, with fresh credentials.
 
     may_be_named: a media server may name them later (RFC 9725 section 4.6). ConfigError for options
@@ -70,12 +58,13 @@ def ice_servers_of(
         if not may_be_named:
             servers.check()
         return lambda: servers
-    if (user is None) != (args.turn_password_file is None):
+    password_file = args.turn_password_file
+    if (user is None) != (password_file is None):
         raise ConfigError("give both --turn-user and --turn-password-file, or neither")
     if user is not None and secret_file is not None:
         raise ConfigError("give either --turn-secret-file or --turn-user")
     secret = "" if secret_file is None else read_secret(secret_file, "--turn-secret-file")
-    password = "" if user is None else read_secret(args.turn_password_file, "--turn-password-file")
+    password = "" if password_file is None else read_secret(password_file, "--turn-password-file")
 
     def make() -> IceServers:
         username, credential = user or "", password

@@ -36,6 +36,7 @@ from pipelines.recording.raw_pictures import RawPictures
 from pipelines.recording.received_media import SoundLine, TimeLine
 from pipelines.session.command_process import say, stopped_by_signals
 from pipelines.session.option_rows import add_options
+from pipelines.session.options import stream_options
 
 _LOOK_S = 0.2
 
@@ -74,7 +75,7 @@ def keeper_of(
         token=token_of(args),
         token_origins=args.token_origin,
         make_peer=make_peer,
-        servers=ice_servers_of(args, may_be_named=True),
+        servers=ice_servers_of(stream_options(args), may_be_named=True),
         clock=clock,
         told=say,
     )

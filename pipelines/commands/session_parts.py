@@ -1,23 +1,27 @@
 """What `stream` is asked to run: the setup, joystick and robots, components, and tasks."""
 
-import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import fields, replace
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
 from pipelines.mission.mission import TaskOptions
 from pipelines.session.datagrams import split_address
-from pipelines.session.option_rows import add_options, refuse_options
-from pipelines.session.options import asked_setup
+from pipelines.session.option_rows import refuse_options
+from pipelines.session.options import StreamOptions, asked_setup, declared, is_given
 from pipelines.session.setup.table import RtcLeg, Setup
-from pipelines.session.topology import JOYSTICK, PAGES, TASKS, Segment, Topology
+from pipelines.session.topology import (
+    JOYSTICK,
+    PAGES,
+    TASKS,
+    Segment,
+    SessionOptions,
+    Topology,
+)
 from pipelines.table import topology_of
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import (
-    SIMULATED,
     capabilities_of,
     check_joystick,
     check_robot,
@@ -27,24 +31,8 @@ from telepresence.tasks.task_files import load_plan, load_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.telemetry_source import Component, load_components
 
-#: What a session has once its option is given.
-_OPTION_NAMES = ("snapshots", "metrics", "foxglove", "packets", "frames", "ros2", "files")
 
-
-def add_part_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        f"--joystick SPEC <={SIMULATED}>  sim, page (the hand at the operator's page), ros2 (a "
-        "node's), evdev, evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: "
-        "module:Class (default: sim); see `kontur-av joystick list`",
-        f"--robot SPEC <={SIMULATED_ROBOT}>  sim, udp:HOST:PORT[:KEYFILE] or your own: "
-        "module:Class (default: sim)",
-        "--telemetry SPEC <*>  your component in telemetry: module:Class, at both ends; repeatable",
-        f"--second-robot SPEC <={SIMULATED_ROBOT}>  the partner's arm, as --robot",
-    )
-
-
-def chosen_setup(args: argparse.Namespace) -> Setup:
+def chosen_setup(args: StreamOptions) -> Setup:
     """The setup that the options name, with what they change; ConfigError if it cannot work.
 
     A user's robot brings its own sources for inputs of the setup.
@@ -66,7 +54,7 @@ def chosen_setup(args: argparse.Namespace) -> Setup:
 
 
 def checked_components(
-    args: argparse.Namespace, setup: Setup, segments: Sequence[Segment]
+    args: StreamOptions, setup: Setup, segments: Sequence[Segment]
 ) -> tuple[Component, ...]:
     """Check the joystick and the robots of these ends, and return the components; ConfigError."""
     if Segment.SPACE in segments:
@@ -79,55 +67,32 @@ def checked_components(
 
 
 def asked_topology(
-    args: argparse.Namespace, plan: Topology, components: tuple[Component, ...], *, tasks: bool
+    args: StreamOptions, plan: Topology, components: tuple[Component, ...], *, tasks: bool
 ) -> Topology:
     """The table of the session: `plan` with all that the options ask for."""
-    return topology_of(
-        plan.setup,
-        joystick=args.joystick,
-        robot=args.robot,
-        second_robot=args.second_robot,
-        pages=not args.no_page,
-        recorder=True,
-        trainer=args.trainer,
-        tasks=tasks,
-        bypass=args.bypass,
-        components=components,
-        segments=plan.segments,
-        **{name: getattr(args, name) is not None for name in _OPTION_NAMES},
-    )
-
-
-def add_task_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        "--plan PLAN.toml <Path>  select the tasks of a plan; with a simulated joystick a "
-        "simulated cosmonaut does them",
-    )
-    parser.add_argument(
-        "--tasks",
-        nargs="*",
-        type=Path,
-        metavar="FILE.xml",
-        help="have tasks for people; with files, further ones",
-    )
-    add_options(
-        parser,
-        "--leds HOST:PORT  of an LED panel that takes the place of the built-in",
-        "--runs DIR <Path>  record each run of a task into a file there",
-    )
+    asked = {
+        field.name: is_given(args, field.name) if field.type is bool else getattr(args, field.name)
+        for field in fields(SessionOptions)
+        if field.name in declared()
+    }
+    pages = args.page is not False
+    asked |= {"pages": pages, "recorder": True, "tasks": tasks, "components": components}
+    return topology_of(plan.setup, segments=plan.segments, **asked)
 
 
 def task_options(
-    args: argparse.Namespace, setup: Setup, segments: Sequence[Segment]
+    args: StreamOptions, setup: Setup, segments: Sequence[Segment], *, make: bool = True
 ) -> TaskOptions | None:
-    """What the options request; None for a session without tasks. ConfigError."""
+    """What the options request; None for a session without tasks. ConfigError.
+
+    make: whether to make the directory of the runs.
+    """
     if args.plan is None and args.tasks is None and not setup.tasks:
         refuse_options(args, " is for tasks: give --tasks or --plan, too", "leds", "runs")
         return None
     metadata = capabilities_of(args.robot) if Segment.GROUND in segments else None
     two_hands = metadata is not None and metadata.two_hands and setup.partner_arm == "second"
-    files = args.tasks or []
+    files = args.tasks or ()
     if args.plan is None:
         plan, catalogue = None, load_tasks(files)
     elif files:
@@ -147,10 +112,10 @@ def task_options(
         )
     if setup.partner_arm == "shared":
         raise ConfigError('tasks are the cosmonaut\'s: take a setup with partner_arm = "none"')
-    if args.runs is not None and getattr(args, "record", None) is not None:
+    if args.runs is not None and args.record is not None:
         raise ConfigError("--runs and --record want the same recorder: give one of them")
     leds = None if args.leds is None else split_address(args.leds, "--leds")
-    runs = made_directory(args.runs, "--runs")
+    runs = args.runs and made_directory(args.runs, "--runs", make=make)
     return TaskOptions(
         catalogue=catalogue,
         plan=plan,
@@ -166,7 +131,7 @@ def task_arguments(options: TaskOptions | None) -> Mapping[str, Mapping[str, obj
     if options is None:
         return {}
     arguments: dict[str, dict[str, object]] = {
-        TASKS: {"wish": options},
+        TASKS: {"options": options},
         PAGES[Segment.SPACE]: {"tasks": options.catalogue},
     }
     if options.simulated and options.plan is not None:

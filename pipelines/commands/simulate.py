@@ -13,12 +13,9 @@ from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options, refuse_options
 from pipelines.session.options import (
     add_coding_arguments,
-    add_deadband_argument,
-    add_hand_argument,
-    add_radio_arguments,
-    add_setup_argument,
-    add_source_argument,
+    add_session_options,
     asked_setup,
+    stream_options,
 )
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import parse_selections
@@ -34,7 +31,7 @@ from telepresence.tasks.task_files import load_plan
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av simulate`."""
-    add_setup_argument(parser, needed=False)
+    add_session_options(parser, "setup")
     add_options(
         parser,
         "--seconds S <float>  of virtual time",
@@ -42,11 +39,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "others are given",
     )
     add_coding_arguments(parser)
-    add_radio_arguments(parser)
+    add_session_options(
+        parser, "radio", "radio_start", "radio_delay_ms", "seed", "deadband", "hand"
+    )
     parser.set_defaults(seed=None)
-    add_deadband_argument(parser)
-    add_hand_argument(parser)
-    add_source_argument(parser, "scene:NAME, a media file or mcap:FILE#CHANNEL")
+    add_options(
+        parser,
+        "--source NAME=SPEC <*>  what an input captures: scene:NAME, a media file or "
+        "mcap:FILE#CHANNEL; repeatable",
+    )
     add_virtual_arguments(parser)
     add_options(parser, "--report", "-q")
 
@@ -69,7 +70,7 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
         if getattr(args, option) is None:
             raise ConfigError(f"--{option} is missing: a simulation without --replay needs it")
     refuse_options(args, " changes a replay: give --replay, too", "recode", "cap_kbps")
-    setup = asked_setup(args)
+    setup = asked_setup(stream_options(args))
     check_virtual_sources(setup)
     selections = parse_selections(args.select, setup, args.seconds)
     plan = None if args.plan is None else load_plan(args.plan)

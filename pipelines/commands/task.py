@@ -9,11 +9,12 @@ from pipelines.commands.common import acting_on
 from pipelines.commands.tc import follow
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import Sending, tmtc_socket_name
-from pipelines.session.mission_messages import ExperimentShown, unpack
+from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, ExperimentShown
 from pipelines.session.option_rows import add_options
 from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topology import MISSION_GROUND_TOPIC, TASKS, TMTC_TOPICS
+from pipelines.session.topic_ends import TopicReader
+from pipelines.session.topology import TASKS
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 _CLIENT = "kontur-av task"
@@ -60,17 +61,16 @@ def run(args: argparse.Namespace) -> int:
             _CLIENT, SystemRandom().getrandbits(48), TASKS, "call", args.action, arguments
         )
         application = built_in_dictionary().application(TASKS)
-        reader = bus.reader(TMTC_TOPICS[Segment.GROUND], depth=32)
-        return follow(Sending(session, Segment.GROUND, request, reader), application)
+        return follow(Sending(session, Segment.GROUND, request, bus), application)
 
 
 def _shown(bus: TopicBus, session: str) -> ExperimentShown:
     if MISSION_GROUND_TOPIC in bus.topics():
-        reader = bus.reader(MISSION_GROUND_TOPIC)
+        reader = TopicReader(bus, MISSION_GROUND_TOPIC)
         for _ in range(20):
-            if (octets := reader.latest_octets()) is not None:
-                return unpack(ExperimentShown, octets)
-            reader.wait(_TIMEOUT_NS // 20)
+            if (shown := reader.latest()) is not None:
+                return shown
+            reader.open().wait(_TIMEOUT_NS // 20)
     raise ConfigError(f"session {session} has no tasks: start it with --tasks or --plan PLAN.toml")
 
 

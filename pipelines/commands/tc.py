@@ -19,7 +19,6 @@ from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
 from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topology import TMTC_TOPICS
 from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.xtce import dictionary_xtce
@@ -78,8 +77,7 @@ def run(args: argparse.Namespace) -> int:
             "start one with kontur-av stream"
         )
     with TopicBus.join(session) as bus:
-        reader = bus.reader(TMTC_TOPICS[origin], depth=32)
-        return follow(Sending(session, origin, request, reader), application)
+        return follow(Sending(session, origin, request, bus), application)
 
 
 def _print_known(args: argparse.Namespace) -> None:

@@ -2,23 +2,21 @@
 
 import argparse
 import shutil
-from dataclasses import replace
 
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
-from pipelines.session.options import add_setup_argument, setup_changes
-from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.options import add_session_options, asked_setup, stream_options
 from pipelines.session.topology.tables import dot, processes_table, streams_table, topics_table
 from pipelines.table import topology_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_setup_argument(parser)
-    add_options(parser, "--base-port", "--dot  a graph for Graphviz instead")
+    add_session_options(parser, "setup!", "base_port")
+    add_options(parser, "--dot  a graph for Graphviz instead")
 
 
 def run(args: argparse.Namespace) -> int:
-    topology = topology_of(replace(load_setup(args.setup), **setup_changes(args)), pages=True)
+    topology = topology_of(asked_setup(stream_options(args)), pages=True)
     if args.dot:
         text = dot(topology)
     else:

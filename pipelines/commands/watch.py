@@ -8,7 +8,7 @@ from contextlib import closing
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
 from pipelines.commands.rtc_options import (
-    add_ice_arguments,
+    ICE,
     add_redirect_argument,
     add_token_arguments,
 )
@@ -23,6 +23,7 @@ from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcCommandReport, RtcPeer
 from pipelines.report.report_file import end_with
 from pipelines.session.option_rows import add_options
+from pipelines.session.options import add_session_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_token_arguments(parser)
     add_redirect_argument(parser)
     add_output_arguments(parser)
-    add_ice_arguments(parser)
+    add_session_options(parser, *ICE)
     add_run_arguments(parser)
 
 

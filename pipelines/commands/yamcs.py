@@ -9,7 +9,7 @@ from pipelines.packets.process_packets import DEFAULT_PACKETS, parse_frames, par
 from pipelines.packets.yamcs import instance_files
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
-from pipelines.session.options import add_setup_argument
+from pipelines.session.options import add_session_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.table import topology_of
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "write the instance's directory: etc/ and mdb/"
     new = actions.add_parser("new", help=text, description=text)
     new.add_argument("directory", type=Path, metavar="DIR")
-    add_setup_argument(new, default="spacejustin")
+    add_session_options(new, "setup=spacejustin")
     add_options(
         new,
         f"--packets tcp:[HOST:]PORT|udp:HOST:PORT <={DEFAULT_PACKETS}>  as of `stream`, with the "

@@ -17,8 +17,6 @@ SILENT = "the other end does not answer: is --files given there?"
 KINDS = (PUT, GET, LIST, RENAME, REMOVE)
 #: The entities' ids.
 ENTITIES = {Segment.GROUND: 1, Segment.SPACE: 2}
-#: What a segment may send at most, by default.
-RATES_BPS = {Segment.GROUND: 8_000, Segment.SPACE: 200_000}
 #: This many fit into one answer, however long their names are.
 _MOST_LISTED = 12
 

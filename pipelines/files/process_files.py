@@ -17,13 +17,13 @@ from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
 from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.requests import RequestServer
+from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import Segment, maintenance_stream
 from pipelines.session.transfer_requests import FileAnswer, FileRequest, socket_name
 from telepresence.files.entity import LARGEST_LISTING, PUT, STORE, DirectoryJob, FileEntity, fenced
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 from telepresence.files.sides import MAX_FILE_OCTETS
 from telepresence.link.frame import MAX_PACKET_OCTETS
-from telepresence.link.gateway import Backlog
 from telepresence.services.datagrams import is_service
 from telepresence.services.streams import ServiceStreams
 
@@ -199,14 +199,12 @@ def run_files(
         context.open_bus() as bus,
         RequestServer(context, socket_name(segment), FileRequest, answer) as server,
     ):
-        link = bus.reader(topology.link(segment.transmits).backlog_topic)
-        state: Backlog | None = None
+        link = TopicReader(bus, topology.link(segment.transmits).backlog_topic)
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
-            if (told := link.latest_octets()) is not None:
-                state = Backlog.unpack(told)
-            if state is not None:
+            link.latest()
+            if (state := link.newest) is not None:
                 heard, waiting = state.peer_heard, state.maintenance_octets
                 streams.handle_link(heard=heard, waiting_octets=waiting, now_ns=now_ns)
                 waiting += streams.reserved_octets

@@ -1,13 +1,6 @@
 """The processes that carry files."""
 
-from pipelines.session.topology import (
-    FILES,
-    WATCHER_PRIORITY,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
-)
+from pipelines.session.topology import FILES, WATCHER_PRIORITY, ProcessRow, Segment, Stage, Topology
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

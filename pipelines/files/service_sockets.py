@@ -1,6 +1,5 @@
 """The TCP connections of services on this machine. `ServiceStreams` decides; these are sockets."""
 
-import argparse
 import re
 import socket
 import struct
@@ -13,6 +12,7 @@ from typing import NamedTuple
 from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import LOOPBACK, Address, bound_socket, resolve
 from pipelines.session.option_rows import LAST_PORT
+from pipelines.session.options import StreamOptions
 from pipelines.session.topology import FILES, Segment
 from telepresence.services.datagrams import MOST_NAME_OCTETS, is_service_name
 from telepresence.services.streams import ServiceStreams, StreamClosed, StreamOpened
@@ -178,7 +178,7 @@ class ServicesOptions(NamedTuple):
     targets: Mapping[str, Address]
 
 
-def services_options(args: argparse.Namespace, segments: Sequence[Segment]) -> ServicesOptions:
+def services_options(args: StreamOptions, segments: Sequence[Segment]) -> ServicesOptions:
     """Return the services of the options. Raises ConfigError for values that do not fit."""
     ports = _table(args.service, LISTEN, r"(\d{1,5})", "NAME=PORT, like ssh=2222")
     allowed = _table(

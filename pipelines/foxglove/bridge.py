@@ -1,6 +1,5 @@
 """What a session's clients of Foxglove's protocol are told, and what they ask. A core."""
 
-import tomllib
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -41,7 +40,7 @@ from pipelines.seats.command_client import CommandClient
 from pipelines.seats.texts import CommandRequest
 from pipelines.session.access import VIEWER_WORDS
 from pipelines.session.session_metrics import SampleNumbers, SessionEvents, gathered, nested_values
-from pipelines.session.setup.setup_text import setup_toml
+from pipelines.session.setup.setup_text import setup_table
 from pipelines.session.topology import TASKS, Segment, Topology
 
 _WHO: Final = "foxglove"
@@ -183,7 +182,7 @@ class Bridge:
         self._events: deque[Sequence[ChannelMessage]] = deque(maxlen=_KEPT_EVENTS)
         self._metrics: Mapping[str, Figure] = {}
         self._metrics_ns = 0
-        self._setup = dict(nested_values(tomllib.loads(setup_toml(topology.setup)), "setup"))
+        self._setup = dict(nested_values(setup_table(topology.setup), "setup"))
         self.services = Services(topology, boot_id)
         #: By channel, of clients that have gone; missed: of all.
         self._sent: Counter[str] = Counter()

@@ -16,26 +16,21 @@ from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.foxglove.bridge import Bridge
 from pipelines.foxglove.client import KeyAsked
 from pipelines.foxglove.protocol import MOST_CLIENT_OCTETS, SUBPROTOCOLS
-from pipelines.media.following import Choice
+from pipelines.media.following import SELECTED_TOPIC
 from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.mission.tmtc_messages import CommandUpdate, unpack_news
+from pipelines.mission.tmtc_messages import TMTC_TOPICS, CommandUpdate
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, Source, sources_of
 from pipelines.recording.session_messages import Instants
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.session.access import AccessError, AccessKind, Found, Role
-from pipelines.session.mission_messages import ExperimentShown, unpack
+from pipelines.session.mission_messages import MISSION_GROUND_TOPIC
 from pipelines.session.process import Context
-from pipelines.session.serving_loop import Feed, ServingLoop, TopicState
+from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.session_metrics import SessionEvents
-from pipelines.session.topology import (
-    FOXGLOVE,
-    MISSION_GROUND_TOPIC,
-    SELECTED_TOPIC,
-    TMTC_TOPICS,
-    Segment,
-)
+from pipelines.session.topic_ends import TopicReader
+from pipelines.session.topology import FOXGLOVE, Segment
 from pipelines.session.web_site import WebSite
 
 #: How often topics are read, and without a client.
@@ -109,7 +104,7 @@ class _FoxgloveServer:
         self._settle()
 
     def _take_news(self, segment: Segment, lease: Lease) -> None:
-        news = unpack_news(lease.octets())
+        news = TMTC_TOPICS[segment].unpack(lease.octets())
         if isinstance(news, CommandUpdate):
             self._bridge.services.handle_update(segment, news)
             self._settle()
@@ -201,9 +196,8 @@ class _Topics:
             camera.name: camera.inputs for camera in topology.cameras
         }
         self._camera = context.setup.cameras[0]
-        self._states = TopicState(bus, SELECTED_TOPIC), TopicState(bus, MISSION_GROUND_TOPIC)
-        for state in self._states:
-            state.open()
+        self._selected = TopicReader(bus, SELECTED_TOPIC)
+        self._mission = TopicReader(bus, MISSION_GROUND_TOPIC)
 
     def read(self, now_ns: int) -> None:
         bridge = self._bridge
@@ -220,12 +214,10 @@ class _Topics:
                     self._waiting.pop(source.topic).close()
             elif source.topic not in self._waiting:
                 self._waiting[source.topic] = self._bus.reader(source.topic)
-        selected, mission = (state.latest() for state in self._states)
-        if selected is not None:
-            self._camera = Choice.unpack(selected).camera
-        if mission is not None:
-            tasks = unpack(ExperimentShown, mission).tasks
-            bridge.services.tasks = [task.name for task in tasks]
+        if (selected := self._selected.latest()) is not None:
+            self._camera = selected.camera
+        if (mission := self._mission.latest()) is not None:
+            bridge.services.tasks = [task.name for task in mission.tasks]
         for camera in self._cameras:
             source = camera.source
             carried = source.name in self._carried.get(self._camera, ())
@@ -236,8 +228,8 @@ class _Topics:
     def close(self) -> None:
         for reader in (*self._readers.values(), *self._waiting.values()):
             reader.close()
-        for state in self._states:
-            state.close()
+        self._selected.close()
+        self._mission.close()
 
     def _open(self, source: Source, wanted: bool) -> None:
         if wanted and source.topic not in self._readers:

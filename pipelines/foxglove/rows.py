@@ -1,9 +1,9 @@
 """The process that serves the channels of a recording to Foxglove."""
 
+from pipelines.mission.tmtc_messages import TMTC_TOPICS
 from pipelines.recording.rows import shown_topics
 from pipelines.session.topology import (
     FOXGLOVE,
-    TMTC_TOPICS,
     WATCHER_PRIORITY,
     ProcessRow,
     Segment,

@@ -21,13 +21,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.errors import ConfigError
 from kontur_av.returned import PartError, fault_of, taken
-from telepresence.haptics.axes import (
-    AxisCapabilities,
-    AxisName,
-    AxisReading,
-    MoreAxis,
-    check_axes,
-)
+from telepresence.haptics.axes import AxisCapabilities, AxisName, AxisReading, MoreAxis, check_axes
 from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.script import CheckResult, Figure
 from telepresence.haptics.robot import RobotCapabilities

@@ -1,50 +1,21 @@
-"""What page, joystick, robot and the arbiter of control publish; the arbiter.
+"""What page, joystick, robot and the arbiter of control publish; the arbiter."""
 
-| topic | writer | content |
-|---|---|---|
-| `hand/input` | page | `PageInput`: the newest hand of the page that holds the handle |
-| `hand/request` | page | `HandRequest`: a person's command |
-| `joystick/command` | console | `HandRequest`: a telecommand of the ground or of this end |
-| `joystick/state` | joystick | `JoystickStatus`: its state, and what became of the newest command |
-| `arm/order` | desk | who is to drive |
-| `arm/state` | robot | `ArmState`: who drives |
-"""
-
-import struct
 from typing import NamedTuple
 
 import msgspec
 
+from pipelines.session.topology.topics import Topic
 from telepresence.haptics.authority import Authority, AuthorityMetrics
-from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.haptics.device.page import PageInput
-from telepresence.haptics.device.states import REQUESTS, ExperimentName, JoystickEvent
-from telepresence.malformed import MALFORMED
+from telepresence.haptics.device.states import ExperimentName, JoystickEvent
 
-_INPUT = struct.Struct("<?ddIIqq")
-_SHARE_OCTETS = 8
-#: With all axes.
-INPUT_OCTETS = _INPUT.size + _SHARE_OCTETS * len(AXIS_NAMES)
-_NUMBER = struct.Struct("<q")
-_EVENTS = {event.value.encode("ascii"): event for event in REQUESTS}
-REQUEST_OCTETS = _NUMBER.size + max(len(name) for name in _EVENTS)
-#: Texts are cut to this length, so that the state is never too long for its topic.
+#: Texts are cut to this length, so that a state stays short.
 MOST_CHARACTERS = 400
-STATUS_OCTETS = 8192
 
-
-def pack_input(hand: PageInput) -> bytes:
-    """Return at most `INPUT_OCTETS` octets."""
-    return _INPUT.pack(*hand[:-1]) + struct.pack(f"<{len(hand.more)}d", *hand.more)
-
-
-def unpack_input(data: bytes) -> PageInput | None:
-    """Return what `pack_input` packed, or None for octets of another size."""
-    axes, rest = divmod(len(data) - _INPUT.size, _SHARE_OCTETS)
-    if rest or not 0 <= axes <= len(AXIS_NAMES):
-        return None
-    more = struct.unpack_from(f"<{axes}d", data, _INPUT.size)
-    return PageInput._make((*_INPUT.unpack_from(data), more))
+HAND_INPUT_TOPIC = Topic[PageInput](
+    "hand/input", PageInput, "where a page's hand wants the handle, dead-man button"
+)
+ROS2_HAND_TOPIC = Topic[PageInput]("hand/ros2", PageInput, "the same of a ROS 2 node's hand")
 
 
 class HandRequest(NamedTuple):
@@ -54,15 +25,12 @@ class HandRequest(NamedTuple):
     event: JoystickEvent
 
 
-def pack_request(request: HandRequest) -> bytes:
-    """Return at most `REQUEST_OCTETS` octets."""
-    return _NUMBER.pack(request.number) + request.event.value.encode("ascii")
-
-
-def unpack_request(data: bytes) -> HandRequest | None:
-    """Return what `pack_request` packed, or None for anything else."""
-    event = _EVENTS.get(data[_NUMBER.size :])
-    return None if event is None else HandRequest(_NUMBER.unpack_from(data)[0], event)
+HAND_REQUEST_TOPIC = Topic[HandRequest](
+    "hand/request", HandRequest, "a person's command to the joystick"
+)
+JOYSTICK_COMMAND_TOPIC = Topic[HandRequest](
+    "joystick/command", HandRequest, "a telecommand to the joystick"
+)
 
 
 class RobotOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -148,27 +116,14 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     partner: bool | None = None
 
 
-def pack_status(status: JoystickStatus) -> bytes:
-    """Return at most `STATUS_OCTETS` octets."""
-    return _ENCODER.encode(status)
-
-
-def unpack_status(data: bytes) -> JoystickStatus | None:
-    """Return what `pack_status` packed, or None for anything else."""
-    try:
-        return _DECODER.decode(data)
-    except MALFORMED:
-        return None
-
-
-_ENCODER = msgspec.msgpack.Encoder()
-_DECODER = msgspec.msgpack.Decoder(JoystickStatus)
-
+JOYSTICK_STATE_TOPIC = Topic[JoystickStatus](
+    "joystick/state", JoystickStatus, "state of the joystick, answer to a command"
+)
 
 #: The name of the arbiter's socket.
 ARM_SOCKET = "arm"
-ARM_ORDER_OCTETS = max(len(authority.value) for authority in Authority)
-ARM_STATE_OCTETS = 256
+#: Who is to drive.
+ARM_ORDER_TOPIC = Topic[Authority]("arm/order", Authority, "who is to drive the robot")
 AUTHORITIES = tuple(authority.value for authority in Authority)
 
 
@@ -192,14 +147,8 @@ class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
             refused_partner=metrics.refused[Authority.PARTNER.value],
         )
 
-    def pack(self) -> bytes:
-        """Return at most `ARM_STATE_OCTETS` octets."""
-        return msgspec.msgpack.encode(self)
 
-    @classmethod
-    def unpack(cls, octets: bytes) -> "ArmState":
-        """Return what `pack` packed. Only the session's own robot writes the topic."""
-        return msgspec.msgpack.decode(octets, type=cls)
+ARM_STATE_TOPIC = Topic[ArmState]("arm/state", ArmState, "who drives, and refused datagrams")
 
 
 class AuthorityRequest(msgspec.Struct, frozen=True):

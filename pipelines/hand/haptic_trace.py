@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS
+from pipelines.session.topology.topics import Topic
 from telepresence.haptics.axes import AXIS_NAMES, AxisName, lever_of
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
@@ -53,6 +54,13 @@ def row_type(axes: Sequence[str]) -> "np.dtype[np.void]":
 BLOCK_ROWS: Final = 20
 #: With all axes, of which a last octet has a bit each.
 BLOCK_OCTETS: Final = BLOCK_ROWS * row_type(AXIS_NAMES).itemsize + 1
+
+JOYSTICK_TRACE_TOPIC = Topic[bytes](
+    "haptic/joystick", bytes, "20 ms of the handle: position, force, energy (`rows_of`)"
+)
+ROBOT_TRACE_TOPIC = Topic[bytes](
+    "haptic/robot", bytes, "20 ms of the tip: position, force, energy (`rows_of`)"
+)
 
 CONTACT, DEAD_MAN, ACTED = 1, 2, 4
 _STATE_BIT, _LIT_BIT = 8, 16

@@ -6,7 +6,7 @@ from contextlib import closing
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import ARM_STATE_OCTETS, ArmState
+from pipelines.hand.hand_topics import ARM_ORDER_TOPIC, ARM_STATE_TOPIC, ArmState
 from pipelines.hand.haptic_loop import Cycle, Send, new_boot_id, run_loop
 from pipelines.hand.haptics import CYCLE_NS, RobotEnd, robot_side
 from pipelines.hand.robot_commands import limits_of
@@ -15,15 +15,11 @@ from pipelines.hand.timed_calls import take_power
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.datagrams import Outlet, OwnOutlet, receive
 from pipelines.session.kept_files import KeptOrders
+from pipelines.session.mission_messages import SECOND_ROBOT_TOPIC
 from pipelines.session.process import Context, take_realtime
-from pipelines.session.topic_ends import STATE_OCTETS, NumberedTopic, pack_state
-from pipelines.session.topology import (
-    ARM_ORDER_TOPIC,
-    ARM_STATE_TOPIC,
-    LOOP_PRIORITY,
-    SECOND_ROBOT_TOPIC,
-    partner_ports,
-)
+from pipelines.session.topic_ends import TopicReader, TopicWriter
+from pipelines.session.topology import LOOP_PRIORITY, partner_ports
+from pipelines.session.topology.topics import Topic
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
@@ -61,10 +57,10 @@ def run_second_robot(context: Context) -> None:
         run_loop(context, end, ports, publish, before=watch, seldom=[stop, recover])
 
 
-def state_publisher(bus: TopicBus, topic: str) -> Callable[[WorldState], None]:
+def state_publisher(bus: TopicBus, topic: Topic[WorldState]) -> Callable[[WorldState], None]:
     """Return what publishes the states of a robot."""
-    writer = NumberedTopic(bus, topic, max_octets=STATE_OCTETS)
-    return lambda state: writer.publish_octets(pack_state(state), state.time_ns)
+    writer = TopicWriter(bus, topic)
+    return lambda state: writer.publish(state.dated(), state.time_ns)
 
 
 def keep_powered(robot: Robot, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
@@ -87,18 +83,18 @@ def keep_powered(robot: Robot, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
 
 def follow_authority(bus: TopicBus, ownership: ControlAuthority, end: RobotEnd) -> Cycle:
     """Return what takes the orders of the gateway application's desk, and tells who drives."""
-    reader = bus.reader(ARM_ORDER_TOPIC)
-    writer = NumberedTopic(bus, ARM_STATE_TOPIC, max_octets=ARM_STATE_OCTETS)
-    told = b""
+    reader = TopicReader(bus, ARM_ORDER_TOPIC)
+    writer = TopicWriter(bus, ARM_STATE_TOPIC)
+    told = ArmState()
 
     def follow(now_ns: int) -> None:
         nonlocal told
-        if (order := reader.latest_octets()) is not None:
-            ownership.handle_order(Authority(order.decode("ascii")), now_ns)
-        state = ArmState.of(ownership.report(), waiting=end.envelope.waiting).pack()
+        if (order := reader.latest()) is not None:
+            ownership.handle_order(order, now_ns)
+        state = ArmState.of(ownership.report(), waiting=end.envelope.waiting)
         if state != told:
             told = state
-            writer.publish_octets(state, now_ns)
+            writer.publish(state, now_ns)
 
     return follow
 

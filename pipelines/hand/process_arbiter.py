@@ -5,16 +5,15 @@ The last order is kept in a file, so that an arbiter or a robot that was killed 
 
 from kontur_av.topics.session_files import make_session_root, remember, session_root
 from pipelines.hand.hand_topics import (
-    ARM_ORDER_OCTETS,
+    ARM_ORDER_TOPIC,
     ARM_SOCKET,
-    ArmState,
+    ARM_STATE_TOPIC,
     AuthorityRequest,
     ControlArbiter,
 )
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.requests import RequestServer
-from pipelines.session.topic_ends import NumberedTopic
-from pipelines.session.topology import ARM_ORDER_TOPIC, ARM_STATE_TOPIC
+from pipelines.session.topic_ends import TopicReader, TopicWriter
 from telepresence.haptics.authority import Authority
 
 
@@ -35,16 +34,16 @@ def run_control_arbiter(context: Context) -> None:
             lambda request, _: arbiter.handle_request(request, now_ns()),
         ) as server,
     ):
-        writer = NumberedTopic(bus, ARM_ORDER_TOPIC, max_octets=ARM_ORDER_OCTETS)
-        reader = bus.reader(ARM_STATE_TOPIC)
+        writer = TopicWriter(bus, ARM_ORDER_TOPIC)
+        reader = TopicReader(bus, ARM_STATE_TOPIC)
         while not context.stopping:
             context.tick(now_ns())
             server.serve(TIMEOUT_NS)
-            if (state := reader.latest_octets()) is not None:
-                arbiter.handle_state(ArmState.unpack(state))
+            if (state := reader.latest()) is not None:
+                arbiter.handle_state(state)
             order = arbiter.order.value
             if order != known:
                 known = order
                 remember(remembered, order.encode("ascii"))
             # Published repeatedly, for a robot that has started since.
-            writer.publish_octets(order.encode("ascii"), now_ns())
+            writer.publish(arbiter.order, now_ns())

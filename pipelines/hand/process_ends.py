@@ -7,13 +7,21 @@ from dataclasses import fields
 
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import (
-    STATUS_OCTETS,
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK_COMMAND_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    ROS2_HAND_TOPIC,
     JoystickOrders,
     RobotOrders,
-    unpack_input,
 )
 from pipelines.hand.haptic_loop import Cycle, new_boot_id, run_loop, session_ports
-from pipelines.hand.haptic_trace import BLOCK_OCTETS, HapticTrace
+from pipelines.hand.haptic_trace import (
+    BLOCK_OCTETS,
+    JOYSTICK_TRACE_TOPIC,
+    ROBOT_TRACE_TOPIC,
+    HapticTrace,
+)
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.partner_arm import (
     follow_authority,
@@ -35,40 +43,24 @@ from pipelines.hand.safety_ends import (
 )
 from pipelines.hand.timed_calls import take_power
 from pipelines.session.kept_files import KeptOrders
-from pipelines.session.mission_messages import LedsShown, PanelShown, RobotCommand, RobotOrder
-from pipelines.session.process import Context
-from pipelines.session.topic_ends import (
-    MissionReader,
-    MissionWriter,
-    NumberedTopic,
-    new_exercises,
-    unpack_state,
-)
-from pipelines.session.topology import (
-    HAND_INPUT_TOPIC,
-    HAND_REQUEST_TOPIC,
-    JOYSTICK,
-    JOYSTICK_COMMAND_TOPIC,
-    JOYSTICK_STATE_TOPIC,
-    JOYSTICK_TRACE_TOPIC,
+from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
-    ROBOT,
     ROBOT_COMMAND_TOPIC,
     ROBOT_ORDER_TOPIC,
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
-    ROBOT_TRACE_TOPIC,
-    ROS2_HAND_TOPIC,
-    TELEMETRY,
-    TRAINER_TOPIC,
-    WALL_TOPIC,
+    PanelShown,
 )
-from pipelines.session.training import Exercises
+from pipelines.session.process import Context
+from pipelines.session.topic_ends import TopicReader, TopicWriter
+from pipelines.session.topology import JOYSTICK, ROBOT, TELEMETRY, WALL_TOPIC
+from pipelines.session.topology.topics import Topic
+from pipelines.session.training import TRAINER_TOPIC, Exercises
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.page import PageDevice
+from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
@@ -102,9 +94,9 @@ def serve_robot(bus: TopicBus, service: RobotCommands, *, tasks: bool) -> Cycle:
 
     tasks: there is a kernel that orders.
     """
-    writer = MissionWriter(bus, ROBOT_STATUS_TOPIC)
-    orders = MissionReader(bus, ROBOT_ORDER_TOPIC, RobotOrder, depth=_ORDERS) if tasks else None
-    commands = MissionReader(bus, ROBOT_COMMAND_TOPIC, RobotCommand, depth=_ORDERS)
+    writer = TopicWriter(bus, ROBOT_STATUS_TOPIC)
+    orders = TopicReader(bus, ROBOT_ORDER_TOPIC, depth=_ORDERS) if tasks else None
+    commands = TopicReader(bus, ROBOT_COMMAND_TOPIC, depth=_ORDERS)
 
     def serve(now_ns: int) -> None:
         if orders is not None:
@@ -122,10 +114,10 @@ def serve_robot(bus: TopicBus, service: RobotCommands, *, tasks: bool) -> Cycle:
 
 def follow_exercises(bus: TopicBus, handle: Callable[[Exercises, int], None]) -> Cycle:
     """Return what hands over a trainer's exercises, and the present instant, at each change."""
-    take = new_exercises(bus)
+    reader = TopicReader(bus, TRAINER_TOPIC)
 
     def follow(now_ns: int) -> None:
-        if (exercises := take()) is not None:
+        if (exercises := reader.changed()) is not None:
             handle(exercises, now_ns)
 
     return follow
@@ -133,9 +125,9 @@ def follow_exercises(bus: TopicBus, handle: Callable[[Exercises, int], None]) ->
 
 def looking(bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> Cycle:
     """Return what lets a simulated cosmonaut see panel, LEDs and robot."""
-    panel = MissionReader(bus, MISSION_PANEL_TOPIC, PanelShown)
-    leds = MissionReader(bus, MISSION_LEDS_TOPIC, LedsShown)
-    robot = bus.reader(ROBOT_TOPIC)
+    panel = TopicReader(bus, MISSION_PANEL_TOPIC)
+    leds = TopicReader(bus, MISSION_LEDS_TOPIC)
+    robot = TopicReader(bus, ROBOT_TOPIC)
     seen: deque[PanelPicture] = deque([DARK] * _LATE, maxlen=_LATE)
     tip_m = (0.0, 0.0)
     due_ns = 0
@@ -147,8 +139,7 @@ def looking(bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> Cycl
         due_ns = now_ns + LOOK_NS
         panel.latest()
         leds.latest()
-        if (octets := robot.latest_octets()) is not None:
-            state = unpack_state(octets)
+        if (state := robot.latest()) is not None:
             tip_m = state.x_m, state.y_m
         picture = seen[0]
         seen.append(DARK if leds.newest is None else leds.newest.picture)
@@ -161,11 +152,10 @@ def looking(bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> Cycl
 
 def seeing(bus: TopicBus, hand: Hand) -> Cycle:
     """Return what lets a simulated hand see where the robot is."""
-    robot = bus.reader(ROBOT_TOPIC)
+    robot = TopicReader(bus, ROBOT_TOPIC)
 
     def see(_now_ns: int) -> None:
-        if (octets := robot.latest_octets()) is not None:
-            state = unpack_state(octets)
+        if (state := robot.latest()) is not None:
             hand.see(state.x_m, state.y_m)
 
     return see
@@ -332,14 +322,14 @@ def _publish_datagrams(context: Context, device: RobotDevice | JoystickDevice) -
         context.on_flush(lambda: context.probe.publish(metrics()))
 
 
-def _trace(bus: TopicBus, topic: str, trace: HapticTrace) -> Cycle:
+def _trace(bus: TopicBus, topic: Topic[bytes], trace: HapticTrace) -> Cycle:
     """Return what publishes the rows of an end while they have readers."""
-    writer = NumberedTopic(bus, topic, max_octets=BLOCK_OCTETS, wake=True)
+    writer = TopicWriter(bus, topic, wake=True, octets=BLOCK_OCTETS)
 
     def publish(now_ns: int) -> None:
         block = trace.poll_block()
         if block is not None:
-            writer.publish_octets(block, now_ns)
+            writer.publish(block, now_ns)
         if trace.asks(now_ns):
             trace.handle_watched(writer.has_readers())
 
@@ -349,21 +339,21 @@ def _trace(bus: TopicBus, topic: str, trace: HapticTrace) -> Cycle:
 def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycle:
     """Return what takes persons' commands and telecommands, and publishes the joystick's state."""
     teller = JoystickStatusTeller(handle)
-    writer = NumberedTopic(bus, JOYSTICK_STATE_TOPIC, max_octets=STATUS_OCTETS, wake=True)
+    writer = TopicWriter(bus, JOYSTICK_STATE_TOPIC, wake=True)
     requests = None
     if HAND_REQUEST_TOPIC in reads:
-        requests = bus.reader(HAND_REQUEST_TOPIC, depth=_REQUESTS)
-    commands = bus.reader(JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
+        requests = TopicReader(bus, HAND_REQUEST_TOPIC, depth=_REQUESTS)
+    commands = TopicReader(bus, JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
 
     def publish(now_ns: int) -> None:
         # One at a time, so that each has its own answer.
-        if requests is not None and (request := requests.next_octets()) is not None:
+        if requests is not None and (request := requests.next()) is not None:
             teller.handle_request(request)
-        if (command := commands.next_octets()) is not None:
+        if (command := commands.next()) is not None:
             teller.handle_telecommand(command)
         status = teller.poll_status(now_ns)
         if status is not None:
-            writer.publish_octets(status, now_ns)
+            writer.publish(status, now_ns)
         if teller.asks(now_ns):
             teller.handle_watched(writer.has_readers())
 
@@ -372,24 +362,22 @@ def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycl
 
 def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
     """Return what takes the newest wall; there are at most ten a second."""
-    reader = bus.reader(WALL_TOPIC)
+    reader = TopicReader(bus, WALL_TOPIC)
 
     def take(_now_ns: int) -> None:
-        if (wall := reader.latest_octets()) is not None:
+        if (wall := reader.latest()) is not None:
             end.handle_wall(wall)
 
     return take
 
 
-def _hand(context: Context, bus: TopicBus, device: PageDevice, topic: str) -> Cycle:
+def _hand(context: Context, bus: TopicBus, device: PageDevice, topic: Topic[PageInput]) -> Cycle:
     """Return what takes the newest input of the page or node that holds the handle."""
-    latest = bus.reader(topic).latest_octets
+    reader = TopicReader(bus, topic)
     context.on_flush(lambda: context.probe.publish(HandInputMetrics(inputs_ignored=device.ignored)))
 
     def take(now_ns: int) -> None:
-        octets = latest()
-        hand = None if octets is None else unpack_input(octets)
-        if hand is not None:
+        if (hand := reader.latest()) is not None:
             device.handle_input(hand, now_ns - hand.received_ns)
 
     return take

@@ -6,16 +6,16 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.hand_topics import (
     MOST_CHARACTERS,
     AxisStatus,
+    HandRequest,
     JoystickStatus,
     RobotOrders,
-    pack_status,
-    unpack_request,
 )
 from pipelines.hand.haptic_trace import WatchedTopic
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from telepresence.haptics.authority import Authority, PartnerBoard
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.states import REQUESTS
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.haptic_metrics import RobotMetrics
 from telepresence.haptics.robot import RobotCapabilities
@@ -230,22 +230,21 @@ class JoystickStatusTeller(WatchedTopic):
         self._answered: _Answer = (None, "")
         self._commanded: _Answer = (None, "")
 
-    def handle_request(self, data: bytes) -> None:
-        """Carry out the command in `data`; malformed input is ignored."""
-        self._answered = self._carried_out(data) or self._answered
+    def handle_request(self, request: HandRequest) -> None:
+        """Carry out a command; one that no person may give is ignored."""
+        self._answered = self._carried_out(request) or self._answered
 
-    def handle_telecommand(self, data: bytes) -> None:
+    def handle_telecommand(self, request: HandRequest) -> None:
         """The same for a telecommand, which has numbers of its own."""
-        self._commanded = self._carried_out(data, "by a telecommand") or self._commanded
+        self._commanded = self._carried_out(request, "by a telecommand") or self._commanded
 
-    def _carried_out(self, data: bytes, *by: str) -> _Answer | None:
-        request = unpack_request(data)
-        if request is None:
+    def _carried_out(self, request: HandRequest, *by: str) -> _Answer | None:
+        if request.event not in REQUESTS:
             return None
         return request.number, self._handle.handle_command(request.event, *by)[:MOST_CHARACTERS]
 
-    def poll_status(self, now_ns: int) -> bytes | None:
-        """Return the state as octets if it is due, or None."""
+    def poll_status(self, now_ns: int) -> JoystickStatus | None:
+        """Return the state if it is due, or None."""
         if not self.watched:
             return None
         handle = self._handle
@@ -262,7 +261,7 @@ class JoystickStatusTeller(WatchedTopic):
         self._told, self._anew_ns = present, now_ns + _ANEW_NS
         capabilities, calibration = operation.capabilities, operation.calibration
         found = capabilities if calibration is None else calibration
-        status = JoystickStatus(
+        return JoystickStatus(
             state=operation.state,
             reason=reason[:MOST_CHARACTERS],
             dead_man=handle.dead_man,
@@ -299,4 +298,3 @@ class JoystickStatusTeller(WatchedTopic):
             experiment=operation.experiment,
             partner=operation.partner,
         )
-        return pack_status(status)

@@ -1,30 +1,31 @@
 """The processes of robot and joystick, and of who drives the robot."""
 
-from pipelines.session.topology import (
+from pipelines.hand.hand_topics import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,
-    AUTHORITY_SOCKET,
-    HALVES_TOPIC,
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
-    JOYSTICK,
     JOYSTICK_COMMAND_TOPIC,
     JOYSTICK_STATE_TOPIC,
-    JOYSTICK_TRACE_TOPIC,
-    LOOP_PRIORITY,
+    ROS2_HAND_TOPIC,
+)
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
+from pipelines.media.following import HALVES_TOPIC, SELECTED_TOPIC
+from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
-    ROBOT,
     ROBOT_COMMAND_TOPIC,
     ROBOT_ORDER_TOPIC,
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
-    ROBOT_TRACE_TOPIC,
-    ROS2_HAND_TOPIC,
-    SECOND_ROBOT,
     SECOND_ROBOT_TOPIC,
-    SELECTED_TOPIC,
-    TRAINER_TOPIC,
+)
+from pipelines.session.topology import (
+    AUTHORITY_SOCKET,
+    JOYSTICK,
+    LOOP_PRIORITY,
+    ROBOT,
+    SECOND_ROBOT,
     WALL_TOPIC,
     ProcessRow,
     Segment,
@@ -33,6 +34,7 @@ from pipelines.session.topology import (
     given,
     partner_ports,
 )
+from pipelines.session.training import TRAINER_TOPIC
 from telepresence.haptics.specs import PAGE, ROS2_HAND, is_simulated
 
 

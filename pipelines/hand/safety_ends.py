@@ -8,28 +8,18 @@ from contextlib import suppress
 from dataclasses import replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.sources.stereo import HALF
-from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.staleness import FUTURE_NS
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import JoystickOrders, RobotOrders, unpack_status
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC, JoystickOrders, RobotOrders
 from pipelines.hand.haptic_loop import Cycle
 from pipelines.hand.haptics import RobotEnd
 from pipelines.hand.robot_commands import RobotCommands
-from pipelines.media.following import Choice
+from pipelines.media.following import HALVES_TOPIC, SELECTED_TOPIC
 from pipelines.session.kept_files import KeptOrders
-from pipelines.session.mission_messages import RobotStatus
+from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC
 from pipelines.session.setup.table import STEREO, Setup
-from pipelines.session.topic_ends import MissionReader
-from pipelines.session.topology import (
-    HALVES_TOPIC,
-    JOYSTICK,
-    JOYSTICK_STATE_TOPIC,
-    ROBOT,
-    ROBOT_STATUS_TOPIC,
-    SELECTED_TOPIC,
-    Topology,
-)
+from pipelines.session.topic_ends import TopicReader
+from pipelines.session.topology import JOYSTICK, ROBOT, Topology
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import NO_PICTURE, PageDevice
 from telepresence.haptics.envelope import Hold, SafetyLimits
@@ -187,8 +177,8 @@ def await_stopped(session: str, ordered_ns: int, *, stopped: bool = True) -> str
     """
     clock = MonotonicClock()
     with TopicBus(session) as bus:
-        robot = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
-        joystick = bus.reader(JOYSTICK_STATE_TOPIC)
+        robot = TopicReader(bus, ROBOT_STATUS_TOPIC)
+        joystick = TopicReader(bus, JOYSTICK_STATE_TOPIC)
         # Opening them may take seconds on a busy machine.
         began_ns, status = clock.now_ns(), None
         while (waited_ns := clock.now_ns() - began_ns) < _ACROSS_NS:
@@ -198,8 +188,7 @@ def await_stopped(session: str, ordered_ns: int, *, stopped: bool = True) -> str
                 answered = status.stopped if stopped else not status.stopped_by
                 if answered:
                     return ""
-            octets = joystick.latest_octets()
-            held = None if octets is None else unpack_status(octets)
+            held = joystick.latest()
             if status is None and held is not None and held.robot_stopped and stopped:
                 return ""
             if status is not None and waited_ns >= _HERE_NS:
@@ -252,11 +241,11 @@ def look_at_picture(bus: TopicBus, topology: Topology, handle: OperatedHandle) -
     """Return what tells the robot, in every sample, that the operator's picture is too old."""
     setup = topology.setup
     view, device = OperatorView(setup), handle.device
-    reader = bus.reader(topology.video(setup.uplink_video.name).lag_topic)
+    reader = TopicReader(bus, topology.video(setup.uplink_video.name).lag_topic)
 
     def look(now_ns: int) -> None:
-        if (lag := reader.latest_octets()) is not None:
-            view.handle_shown(*LAG.unpack(lag))
+        if (lag := reader.latest()) is not None:
+            view.handle_shown(*lag)
         painted_ns = device.picture_ns if isinstance(device, PageDevice) else NO_PICTURE
         handle.blind = view.is_blind(now_ns, painted_ns)
 
@@ -268,14 +257,14 @@ def watch_camera(bus: TopicBus, setup: Setup, end: RobotEnd) -> Cycle:
     envelope = end.envelope
     stale_ns = setup.stale_after_ns(setup.uplink_video)
     watch = CameraWatch(STEREO, stale_ns, lambda: envelope.require_press(Hold.CAMERA))
-    choices = bus.reader(SELECTED_TOPIC)
-    halves = bus.reader(HALVES_TOPIC) if STEREO in setup.cameras else None
+    choices = TopicReader(bus, SELECTED_TOPIC)
+    halves = TopicReader(bus, HALVES_TOPIC) if STEREO in setup.cameras else None
 
     def look(now_ns: int) -> None:
-        if (choice := choices.latest_octets()) is not None:
-            watch.handle_choice(Choice.unpack(choice).camera)
-        if halves is not None and (half := halves.latest_octets()) is not None:
-            watch.handle_halves(HALF.unpack(half)[0])
+        if (choice := choices.latest()) is not None:
+            watch.handle_choice(choice.camera)
+        if halves is not None and (oldest_ns := halves.latest()) is not None:
+            watch.handle_halves(oldest_ns)
         envelope.blind = watch.is_blind(now_ns)
 
     return look

@@ -1,15 +1,12 @@
 """What a gateway counts beside the link itself, and what its topics carry. A core."""
 
-import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import msgspec
-
-from kontur_av.errors import ProtocolError
 from kontur_av.metrics import Newest
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import Topic
 from telepresence.link.link_metrics import GatewayMetrics, PathMetrics
-from telepresence.malformed import MALFORMED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,12 +26,10 @@ class WayInMetrics:
     radio_back: Newest[PathMetrics] | None = None
 
 
-LINK_STATE_OCTETS = 512
 #: A gateway's state while there is contact.
 CONNECTED = "connected"
 
 LinkValues = dict[str, bool | int | float | str]
-_DECODER = msgspec.msgpack.Decoder(dict[str, bool | int | str])
 
 
 def link_values(metrics: GatewayMetrics) -> LinkValues:
@@ -53,43 +48,13 @@ def link_values(metrics: GatewayMetrics) -> LinkValues:
     }
 
 
-def pack_link(values: LinkValues) -> bytes:
-    """Return the parameters of a gateway as octets, for its topic."""
-    return msgspec.msgpack.encode(values)
+def gateway_topic(segment: Segment) -> Topic[GatewayMetrics]:
+    """What a segment's gateway counts."""
+    what = "what the gateway counts, ten times a second"
+    return Topic(f"metrics/{segment.value}", GatewayMetrics, what)
 
 
-def unpack_link(octets: bytes) -> LinkValues:
-    """Return what `pack_link` packed; empty for anything else."""
-    try:
-        return dict(_DECODER.decode(octets))
-    except MALFORMED:
-        return {}
-
-
-#: A batch of frames: their number, then of each its instant in ns, session clock, and its length,
-#: then the frames. All numbers are little-endian.
-_COUNT = struct.Struct("<H")
-_HEAD = struct.Struct("<qH")
-
-
-def pack_frames(frames: Sequence[tuple[int, bytes]]) -> bytes:
-    """Return frames (instant in ns, octets) as octets. At most 65535 frames."""
-    heads = [_HEAD.pack(at_ns, len(frame)) for at_ns, frame in frames]
-    return b"".join([_COUNT.pack(len(frames)), *heads, *(frame for _, frame in frames)])
-
-
-def unpack_frames(octets: bytes) -> list[tuple[int, bytes]]:
-    """Return the frames of these octets; ProtocolError for octets of something else."""
-    try:
-        (count,) = _COUNT.unpack_from(octets)
-        heads = list(_HEAD.iter_unpack(octets[_COUNT.size : _COUNT.size + count * _HEAD.size]))
-    except struct.error:
-        raise ProtocolError("no batch of frames") from None
-    at = _COUNT.size + count * _HEAD.size
-    if len(heads) != count or at + sum(length for _, length in heads) != len(octets):
-        raise ProtocolError("a batch of frames of another length")
-    found = []
-    for at_ns, length in heads:
-        found.append((at_ns, octets[at : at + length]))
-        at += length
-    return found
+def link_state_topic(segment: Segment) -> Topic[LinkValues]:
+    """What telemetry says of a segment's gateway: `link_values`."""
+    what = "what telemetry says of the gateway"
+    return Topic(f"link_state/{segment.value}", LinkValues, what)

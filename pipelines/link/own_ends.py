@@ -22,6 +22,7 @@ from pipelines.session.datagrams import (
 )
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options
+from pipelines.session.options import StreamOptions
 from pipelines.session.topology import Segment, Topology
 from telepresence.link.link_metrics import PeerMetrics
 from telepresence.link.profile import LinkProfile
@@ -146,7 +147,7 @@ class EndChoice:
     plan: PeerPlan
 
 
-def chosen_end(args: argparse.Namespace, topology: Topology) -> EndChoice | None:
+def chosen_end(args: StreamOptions, topology: Topology) -> EndChoice | None:
     """The end that the options name; None: both run here. ConfigError if it cannot work."""
     if args.end is None:
         why = " is for one end alone: add --end ground or --end space"
@@ -179,9 +180,7 @@ def path_line(choice: EndChoice) -> str:
     return f"{choice.segment.value} end {where}; it trusts {protection.peer} only"
 
 
-def _addresses(args: argparse.Namespace, topology: Topology) -> tuple[Address, Address | None]:
-    if args.listen is not None and args.peer is not None:
-        raise ConfigError("--listen and --peer: give one of them; the other end has the other")
+def _addresses(args: StreamOptions, topology: Topology) -> tuple[Address, Address | None]:
     if args.listen is not None:
         return _listen_address(args.listen, topology), None
     if args.peer is None:
@@ -219,7 +218,7 @@ def check_one_machine(option: str, text: str, address: str) -> None:
         raise ConfigError(f"{option} {text}: give the address of one machine")
 
 
-def _protection(args: argparse.Namespace) -> Protection | None:
+def _protection(args: StreamOptions) -> Protection | None:
     if args.insecure:
         for option in ("key", "identity"):
             if getattr(args, option) is not None:

@@ -12,18 +12,10 @@ from contextlib import ExitStack
 from functools import partial
 from typing import Final
 
-import msgspec
-
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import TopicBus
 from pipelines.link.gateway_end import GatewayEnd
-from pipelines.link.link_metrics import (
-    LINK_STATE_OCTETS,
-    SocketMetrics,
-    link_values,
-    pack_frames,
-    pack_link,
-)
+from pipelines.link.link_metrics import SocketMetrics, gateway_topic, link_state_topic, link_values
 from pipelines.link.own_ends import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import (
     LOOPBACK,
@@ -41,20 +33,12 @@ from pipelines.session.datagrams import (
 )
 from pipelines.session.process import Context
 from pipelines.session.session_metrics import LatenessRow, SendingRow
-from pipelines.session.topic_ends import NumberedTopic, new_exercises
-from pipelines.session.topology import (
-    TELECOMMAND,
-    TELEMETRY,
-    TRAINER_TOPIC,
-    Segment,
-    Topology,
-    gateway_topic,
-    link_state_topic,
-)
-from pipelines.session.training import Exercises
+from pipelines.session.topic_ends import TopicReader, TopicWriter
+from pipelines.session.topology import TELECOMMAND, TELEMETRY, Frames, Segment, Topology
+from pipelines.session.training import TRAINER_TOPIC, Exercises
 from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.frame import MAX_PACKET_OCTETS
-from telepresence.link.gateway import BACKLOG_OCTETS, Gateway
+from telepresence.link.gateway import Backlog, Gateway
 from telepresence.link.link_metrics import GatewayMetrics
 
 #: Frames of this time are one sample.
@@ -77,10 +61,10 @@ class LinkTopics:
         self.due_ns = 0
         self._gateway = gateway
         out, back = topology.link(segment.transmits), topology.link(segment.transmits.opposite)
-        self._metrics = NumberedTopic(bus, gateway_topic(segment), max_octets=_METRICS_OCTETS)
-        self._sent = NumberedTopic(bus, out.sent_frames_topic, max_octets=_FRAMES_OCTETS)
-        self._received = NumberedTopic(bus, back.received_frames_topic, max_octets=_FRAMES_OCTETS)
-        self._state = NumberedTopic(bus, link_state_topic(segment), max_octets=LINK_STATE_OCTETS)
+        self._metrics = TopicWriter(bus, gateway_topic(segment), octets=_METRICS_OCTETS)
+        self._sent = TopicWriter(bus, out.sent_frames_topic, octets=_FRAMES_OCTETS)
+        self._received = TopicWriter(bus, back.received_frames_topic, octets=_FRAMES_OCTETS)
+        self._state = TopicWriter(bus, link_state_topic(segment))
         # The first call looks for readers.
         self._batches = _SELDOM - 1
 
@@ -88,10 +72,10 @@ class LinkTopics:
         self.due_ns = now_ns + _BATCH_NS
         gateway = self._gateway
         if gateway.frames_sent:
-            self._sent.publish_octets(pack_frames(gateway.frames_sent), now_ns)
+            self._sent.publish(gateway.frames_sent, now_ns)
             gateway.frames_sent = []
         if gateway.frames_received:
-            self._received.publish_octets(pack_frames(gateway.frames_received), now_ns)
+            self._received.publish(gateway.frames_received, now_ns)
             gateway.frames_received = []
         self._batches += 1
         if self._batches % _SELDOM:
@@ -99,16 +83,15 @@ class LinkTopics:
         gateway.frames_sent = _kept(gateway.frames_sent, self._sent)
         gateway.frames_received = _kept(gateway.frames_received, self._received)
         if self._metrics.has_readers():
-            metrics = msgspec.msgpack.encode(gateway.report(now_ns))
-            self._metrics.publish_octets(metrics, now_ns)
+            self._metrics.publish(gateway.report(now_ns), now_ns)
 
     def handle_metrics(self, metrics: GatewayMetrics, now_ns: int) -> None:
         """Publish for telemetry what was counted for the report anyway, twice a second."""
-        self._state.publish_octets(pack_link(link_values(metrics)), now_ns)
+        self._state.publish(link_values(metrics), now_ns)
 
 
 def _kept(
-    frames: list[tuple[int, bytes]] | None, topic: NumberedTopic
+    frames: list[tuple[int, bytes]] | None, topic: TopicWriter[Frames]
 ) -> list[tuple[int, bytes]] | None:
     if not topic.has_readers():
         return None
@@ -281,10 +264,10 @@ def run_gateway(
         if publish_backlog:
             bus = stack.enter_context(context.open_bus())
             backlog_topic = topology.link(segment.transmits).backlog_topic
-            loop.backlogs = NumberedTopic(bus, backlog_topic, max_octets=BACKLOG_OCTETS)
+            loop.backlogs = TopicWriter(bus, backlog_topic)
             loop.topics = LinkTopics(bus, topology, segment, end.gateway)
             if trainer:
-                loop.exercises = new_exercises(bus)
+                loop.exercises = TopicReader(bus, TRAINER_TOPIC)
         loop.run()
         # The last figures are told when the topics are closed.
         loop.topics = None
@@ -302,9 +285,9 @@ class _GatewayLoop:
         self._context, self._end, self._ports, self._path = context, end, ports, path
         self._slots, self._clock_ns = end.slots, context.clock.now_ns
         self._to_haptic_end = ports.to_haptic_end.send
-        self.backlogs: NumberedTopic | None = None
+        self.backlogs: TopicWriter[Backlog] | None = None
         self.topics: LinkTopics | None = None
-        self.exercises: Callable[[], Exercises | None] | None = None
+        self.exercises: TopicReader[Exercises] | None = None
         # Lists, because an array checks the type of each number.
         self._lateness: list[int] = []
         self._sending: list[int] = []
@@ -381,7 +364,7 @@ class _GatewayLoop:
             # What else can wait finds a slot of its own.
             return
         if self.backlogs is not None and (backlog := slots.poll_backlog()) is not None:
-            self.backlogs.publish_octets(backlog.pack(), now_ns)
+            self.backlogs.publish(backlog, now_ns)
         if now_ns >= slots.metrics_ns and slots.poll_metrics(now_ns, heard=False):
             self._context.tick(now_ns)
         # On one machine the peer's slot is at the same time, so its frame is most often here by
@@ -389,7 +372,7 @@ class _GatewayLoop:
         self._fetch_frame(self._clock_ns())
         if self.topics is not None and now_ns >= self.topics.due_ns:
             self.topics.handle_time(now_ns)
-            if self.exercises is not None and (found := self.exercises()) is not None:
+            if self.exercises is not None and (found := self.exercises.changed()) is not None:
                 self._end.handle_exercises(found, now_ns)
 
     def _publish(self) -> None:

@@ -1,15 +1,8 @@
 """The processes of the radio link."""
 
-from pipelines.session.topology import (
-    LOOP_PRIORITY,
-    TRAINER_TOPIC,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
-    gateway_topic,
-    link_state_topic,
-)
+from pipelines.link.link_metrics import gateway_topic, link_state_topic
+from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Segment, Stage, Topology
+from pipelines.session.training import TRAINER_TOPIC
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

@@ -1,6 +1,5 @@
 """How the uplink video's sender follows the selected camera, and the tip of the stylus. Cores."""
 
-import struct
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import count
@@ -10,14 +9,11 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.region import Region
 from kontur_av.media import CaptureStamp
 from pipelines.session.setup.table import Setup
+from pipelines.session.topology.topics import Topic
 from telepresence.world.board import BoardView
 
 #: A choice and its confirmation are told again after this time.
 AGAIN_NS = 100 * NS_PER_MS
-_NUMBER = struct.Struct("=q")
-#: A choice with the longest name of a camera (`pipelines.session.setup.table`), and a confirmation.
-CHOICE_OCTETS = _NUMBER.size + 255
-CONFIRMED_OCTETS = _NUMBER.size
 
 
 class Choice(NamedTuple):
@@ -26,24 +22,15 @@ class Choice(NamedTuple):
     number: int
     camera: str
 
-    def pack(self) -> bytes:
-        """At most `CHOICE_OCTETS` octets for the sender."""
-        return _NUMBER.pack(self.number) + self.camera.encode("ascii")
 
-    @classmethod
-    def unpack(cls, data: bytes) -> "Choice":
-        number: int = _NUMBER.unpack_from(data)[0]
-        return cls(number, data[_NUMBER.size :].decode("ascii"))
-
-
-def pack_confirmed(number: int) -> bytes:
-    """The number of a confirmed choice as `CONFIRMED_OCTETS` octets for the selector."""
-    return _NUMBER.pack(number)
-
-
-def unpack_confirmed(data: bytes) -> int:
-    number: int = _NUMBER.unpack(data)[0]
-    return number
+#: The camera that the sender of the uplink video must follow, and the choice that it has confirmed.
+SELECTED_TOPIC = Topic[Choice]("selected/uplink_video", Choice, "the selected camera")
+FOLLOWED_TOPIC = Topic[int](
+    "followed/uplink_video", int, "number of the choice that the sender follows"
+)
+HALVES_TOPIC = Topic[int](
+    "camera/halves", int, "when the older half of the merged picture was captured (ns)"
+)
 
 
 class CameraFollower:

@@ -6,15 +6,18 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, PageVideo
-from kontur_av.sources.stereo import HALF, StereoPairer
+from kontur_av.sources.stereo import StereoPairer
 from kontur_av.topics.bus import Lease, Reader, TopicBus
+from pipelines.media.following import HALVES_TOPIC
 from pipelines.media.marking import StereoMerger
 from pipelines.media.media_metrics import StereoMetrics
 from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
+from pipelines.session.mission_messages import MISSION_LEDS_TOPIC
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS, VideoStream
-from pipelines.session.topic_ends import new_exercises, newest_state
-from pipelines.session.topology import HALVES_TOPIC, MISSION_LEDS_TOPIC, TRAINER_TOPIC, InputRow
+from pipelines.session.topic_ends import TopicReader, TopicWriter, newest_state
+from pipelines.session.topology import InputRow
+from pipelines.session.training import TRAINER_TOPIC
 from telepresence.world import audio_scenes, video_scenes
 
 
@@ -33,14 +36,14 @@ def run_stereo(context: Context) -> None:
         writer = bus.writer(
             topology.camera(STEREO).topic, max_octets=video.width * video.height * 3 // 2
         )
-        halves = bus.writer(HALVES_TOPIC, max_octets=HALF.size, wake=False)
+        halves = TopicWriter(bus, HALVES_TOPIC)
         readers = [bus.reader(topology.input(name).topic) for name in STEREO_INPUTS]
         # The pairer may use a camera's last picture again, so its lease is kept until the next.
         leases: list[Lease | None] = [None, None]
 
         def publish_pairs() -> None:
             while (pair := pairer.next_event()) is not None:
-                halves.publish_octets(HALF.pack(pair.oldest_ns), pair.stamp)
+                halves.publish(pair.oldest_ns, pair.stamp.capture_ns)
                 if not writer.has_readers():
                     continue
                 loan = writer.loan_picture(video.width, video.height)
@@ -135,13 +138,13 @@ class _Camera:
         self._capturing = Capturing(context.probe)
         context.on_flush(self._report)
         self._name = name
-        self._new_exercises = new_exercises(bus) if TRAINER_TOPIC in reads else None
+        self._exercises = TopicReader(bus, TRAINER_TOPIC) if TRAINER_TOPIC in reads else None
         self._lost_until_ns = 0
         self._loan = self._writer.loan_picture(*self._size)
 
     def handle_next(self) -> None:
         """Capture the next picture, or wait for it at most `TIMEOUT_NS`."""
-        exercises = None if self._new_exercises is None else self._new_exercises()
+        exercises = None if self._exercises is None else self._exercises.changed()
         if exercises is not None:
             self._lost_until_ns = exercises.cameras_ns.get(self._name, 0)
         page, now_ns = self._page, self._clock.now_ns()

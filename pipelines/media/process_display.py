@@ -13,14 +13,16 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import I420
-from kontur_av.streams.lipsync import LAG
+from kontur_av.streams.lipsync import Lag
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.marking import mark_stale
 from pipelines.media.media_metrics import SnapshotMetrics
 from pipelines.media.showing import OPERATORS, Showing, SnapshotSchedule, Watching
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topic_ends import TopicWriter
 from pipelines.session.topology import displayed_topic, received_topic
+from pipelines.session.topology.topics import Topic
 
 
 def run_snapshots(context: Context) -> None:
@@ -71,20 +73,18 @@ def _write(directory: Path, name: str, picture: I420, *, halves: bool) -> list[b
 class _Picture:
     """The displayed picture of one video stream, published as a topic while there is a reader."""
 
-    def __init__(self, bus: TopicBus, stream: VideoStream, lag_topic: str | None) -> None:
+    def __init__(self, bus: TopicBus, stream: VideoStream, lag_topic: Topic[Lag] | None) -> None:
         octets = stream.width * stream.height * 3 // 2
         self._writer = bus.writer(displayed_topic(stream.name), max_octets=octets)
         # The voice receiver polls it for lip-sync.
-        self._lag = None
-        if lag_topic is not None:
-            self._lag = bus.writer(lag_topic, max_octets=LAG.size, wake=False)
+        self._lag = None if lag_topic is None else TopicWriter(bus, lag_topic)
         self._lease: Lease | None = None
 
     def handle_picture(self, lease: Lease, now_ns: int) -> None:
         """The newest picture; it is kept until the next one comes."""
         stamp = lease.stamp
         if self._lag is not None:
-            self._lag.publish_octets(LAG.pack(now_ns, now_ns - stamp.capture_ns), stamp)
+            self._lag.publish(Lag(now_ns, now_ns - stamp.capture_ns), stamp.capture_ns)
         if self._lease is not None:
             self._lease.release()
         self._lease = lease

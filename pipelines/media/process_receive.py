@@ -8,7 +8,6 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AudioFrame
-from kontur_av.streams.lipsync import LAG
 from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.session_files import remember, session_root
 from pipelines.media.coded_topics import ReceivedTopics
@@ -17,7 +16,7 @@ from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.session_metrics import DecodedRow
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topic_ends import SampleTopic
+from pipelines.session.topic_ends import TopicReader, TopicWriter
 
 
 class Receiving(Protocol):
@@ -130,9 +129,9 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
         writer = bus.writer(
             context.topology.media(stream.name).received_topic, max_octets=MAX_PACKET_SAMPLES * 2
         )
-        packets = SampleTopic(bus, context.topology.media(stream.name).coded_topic)
+        packets = TopicWriter(bus, context.topology.media(stream.name).coded_topic, wake=True)
         picture = context.topology.shown_with(stream.name)
-        lag_reader = None if picture is None else bus.reader(picture.lag_topic)
+        lag_reader = None if picture is None else TopicReader(bus, picture.lag_topic)
         while not context.stopping:
             context.tick(clock.now_ns())
             incoming.wait(receiver.poll_timeout())
@@ -143,9 +142,9 @@ def run_voice_receive(context: Context, *, stream: VoiceStream) -> None:
                 capture_ns = receiver.capture_ns(block.timestamp)
                 stamp = receiver.handle_sound(block, decoded=decoded, capture_ns=capture_ns)
                 if block.payload is not None and not block.recovered:
-                    packets.handle_sample(block.payload, capture_ns or 0, block.timestamp)
+                    packets.publish_read(block.payload, capture_ns or 0, block.timestamp)
                 if stamp is not None:
                     writer.publish_audio(AudioFrame(samples, stamp))
-                lag = None if lag_reader is None else lag_reader.latest_octets()
+                lag = None if lag_reader is None else lag_reader.latest()
                 if lag is not None:
-                    receiver.handle_picture_shown(*LAG.unpack(lag))
+                    receiver.handle_picture_shown(*lag)

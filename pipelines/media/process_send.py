@@ -6,27 +6,25 @@ from dataclasses import replace
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
-from kontur_av.media import CaptureStamp
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.following import (
-    CONFIRMED_OCTETS,
+    FOLLOWED_TOPIC,
+    SELECTED_TOPIC,
     CameraFollower,
-    Choice,
     TipRegion,
-    pack_confirmed,
     tip_region,
 )
 from pipelines.media.gain import LinkedVideoSender, gain_of
 from pipelines.media.stream_metrics import publish_sender, to_gateway, video_sender, voice_sender
 from pipelines.session.datagrams import receive
+from pipelines.session.mission_messages import ROBOT_TOPIC
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topic_ends import SampleTopic, unpack_state
-from pipelines.session.topology import FOLLOWED_TOPIC, ROBOT_TOPIC, SELECTED_TOPIC
-from telepresence.link.gateway import Backlog
+from pipelines.session.topic_ends import TopicReader, TopicWriter
+from telepresence.world import WorldState
 
 #: How long to sleep at least while a switch keeps the sender from encoding.
 _SWITCH_NS = NS_PER_MS
@@ -62,8 +60,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
     ):
         selection = None if topic is not None else SelectionTopics(context, bus)
         reader = None if topic is None else bus.reader(topic)
-        backlog_reader = bus.reader(row.backlog_topic)
-        robot = None if tip is None else bus.reader(ROBOT_TOPIC)
+        backlogs = TopicReader(bus, row.backlog_topic)
+        robot = None if tip is None else TopicReader(bus, ROBOT_TOPIC)
         sent = SentTopic(bus, row.name, row.sent_topic)
         sockets = [feedback.fileno(), encoding.fileno()]
         waiter = bus.waiter(_wakers(reader, selection), sockets)
@@ -102,11 +100,8 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                     sender.handle_picture(held.stamp, clock.now_ns(), skipped=skipped)
                     if selection is not None:
                         selection.handle_picture()
-            told = backlog_reader.latest()
-            if told is not None:
-                with told:
-                    backlog = Backlog.unpack(told.octets())
-                    linked.handle_backlog(backlog, told.stamp.capture_ns, clock.now_ns())
+            if (backlog := backlogs.latest()) is not None:
+                linked.handle_backlog(backlog, backlogs.newest_ns, clock.now_ns())
             outgoing.handle_time(clock.now_ns())
             while (datagram := receive(feedback)) is not None:
                 sender.handle_feedback(datagram, clock.now_ns())
@@ -153,8 +148,9 @@ class SelectionTopics:
     def __init__(self, context: Context, bus: TopicBus) -> None:
         self._topology = context.topology
         self._follower = CameraFollower()
-        self.reader = bus.reader(SELECTED_TOPIC)
-        self._writer = bus.writer(FOLLOWED_TOPIC, max_octets=CONFIRMED_OCTETS)
+        self._choices = TopicReader(bus, SELECTED_TOPIC)
+        self.reader = self._choices.open()
+        self._writer = TopicWriter(bus, FOLLOWED_TOPIC, wake=True)
         #: No picture has come since another camera was selected.
         self._new = False
         self.restamp = self._follower.restamp
@@ -181,10 +177,10 @@ class SelectionTopics:
 
     def handle_choice(self) -> bool:
         """Read the newest choice; True if another camera is selected now."""
-        octets = self.reader.latest_octets()
-        if octets is None:
+        choice = self._choices.latest()
+        if choice is None:
             return False
-        changed = self._follower.handle_choice(Choice.unpack(octets))
+        changed = self._follower.handle_choice(choice)
         self._new = self._new or changed
         return changed
 
@@ -196,14 +192,12 @@ class SelectionTopics:
         self._follower.handle_sender(idle=idle)
         number = self._follower.poll_confirmed(now_ns)
         if number is not None:
-            stamp = CaptureStamp(now_ns, number, "sender")
-            self._writer.publish_octets(pack_confirmed(number), stamp)
+            self._writer.publish(number, now_ns)
 
 
-def read_tip(robot: Reader, tip: TipRegion) -> None:
+def read_tip(robot: TopicReader[WorldState], tip: TipRegion) -> None:
     """Tell `tip` the robot's newest state, if there is a new one."""
-    if (octets := robot.latest_octets()) is not None:
-        state = unpack_state(octets)
+    if (state := robot.latest()) is not None:
         tip.handle_tip(state.x_m, state.y_m, state.time_ns)
 
 
@@ -225,7 +219,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
     context.on_flush(lambda: publish_sender(probe, sender))
     with context.open_bus() as bus:
         reader = bus.reader(topic, depth=8)
-        packets = SampleTopic(bus, context.topology.media(stream.name).sent_topic)
+        packets = TopicWriter(bus, context.topology.media(stream.name).sent_topic, wake=True)
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -238,6 +232,6 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
                     frame = lease.audio()
                     data = encoder.encode(frame.samples)
                 sender.handle_packet(data, frame.stamp, clock.now_ns())
-                packets.handle_sample(data, frame.stamp.capture_ns)
+                packets.publish_read(data, frame.stamp.capture_ns)
             outgoing.handle_time(clock.now_ns())
         outgoing.close(clock.now_ns())

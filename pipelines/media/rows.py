@@ -2,15 +2,11 @@
 
 from collections.abc import Iterable
 
+from pipelines.media.following import FOLLOWED_TOPIC, HALVES_TOPIC, SELECTED_TOPIC
+from pipelines.session.mission_messages import MISSION_LEDS_TOPIC, ROBOT_TOPIC
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topology import (
-    FOLLOWED_TOPIC,
-    HALVES_TOPIC,
-    MISSION_LEDS_TOPIC,
-    ROBOT_TOPIC,
-    SELECTED_TOPIC,
     STEREO_TOPIC,
-    TRAINER_TOPIC,
     VOICE_PRIORITY,
     InputRow,
     Kind,
@@ -22,6 +18,8 @@ from pipelines.session.topology import (
     VideoRow,
     given,
 )
+from pipelines.session.topology.topics import AnyTopic
+from pipelines.session.training import TRAINER_TOPIC
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
@@ -77,8 +75,9 @@ def _sender(session: Topology, row: MediaRow) -> ProcessRow:
     video = row.kind is Kind.VIDEO
     # The camera of the uplink is selected; all other streams have one input.
     selected = row.name == session.setup.uplink_video.name
-    cameras = (camera.topic for camera in session.cameras)
+    cameras = tuple(camera.topic for camera in session.cameras)
     topic = None if selected else session.input(row.inputs[0]).topic
+    taken: tuple[AnyTopic, ...] = (SELECTED_TOPIC, *cameras) if topic is None else (topic,)
     return ProcessRow(
         name=row.sender,
         segment=row.direction.sender,
@@ -87,7 +86,7 @@ def _sender(session: Topology, row: MediaRow) -> ProcessRow:
         arguments={"stream": row.stream, "topic": topic},
         priority=0 if video else VOICE_PRIORITY,
         reads=(
-            *((SELECTED_TOPIC, *cameras) if topic is None else (topic,)),
+            *taken,
             *given(video, row.backlog_topic),
             *given(selected and session.setup.region != "off", ROBOT_TOPIC),
         ),

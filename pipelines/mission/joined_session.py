@@ -24,19 +24,13 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.topics.bus import Lease, TopicBus, Writer
 from kontur_av.topics.session_files import choose_session
-from pipelines.hand.haptic_trace import rows_of
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, rows_of
 from pipelines.mission.choosing import CAMERA, SELECT
 from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
 from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
 from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topology import (
-    JOYSTICK_TRACE_TOPIC,
-    ROBOT_TRACE_TOPIC,
-    TMTC_TOPICS,
-    displayed_topic,
-    page_topic,
-)
+from pipelines.session.topology import displayed_topic, page_topic
 
 _CLIENT = "JoinedSession"
 _LOOK_NS = 200 * NS_PER_MS
@@ -210,8 +204,7 @@ class JoinedSession(Closing):
         origin = Segment(known.end).peer
         # A bus of its own, because the caller may be a thread.
         with TopicBus.join(self.name) as bus:
-            reader = bus.reader(TMTC_TOPICS[origin], depth=_DEPTH)
-            sending = Sending(self.name, origin, request, reader)
+            sending = Sending(self.name, origin, request, bus)
             for _ in sending.news():
                 pass
         if sending.done is None:

@@ -9,26 +9,28 @@ from contextlib import suppress
 from dataclasses import asdict
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.hand.hand_topics import unpack_status
-from pipelines.link.link_metrics import CONNECTED, unpack_link
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
+from pipelines.link.link_metrics import CONNECTED, link_state_topic
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import Address
-from pipelines.session.mission_messages import LedsShown, PanelShown
-from pipelines.session.process import TIMEOUT_NS, Context
-from pipelines.session.requests import RequestServer
-from pipelines.session.topic_ends import MissionWriter, NumberedTopic
-from pipelines.session.topology import (
-    JOYSTICK_STATE_TOPIC,
+from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
-    PANEL,
-    TRAINER_TOPIC,
-    Segment,
-    leds_port,
-    link_state_topic,
+    LedsShown,
+    PanelShown,
 )
-from pipelines.session.training import TRAINER_SOCKET, Trainer, TrainerReach, TrainerRequest
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.requests import RequestServer
+from pipelines.session.topic_ends import TopicReader, TopicWriter
+from pipelines.session.topology import PANEL, Segment, leds_port
+from pipelines.session.training import (
+    TRAINER_SOCKET,
+    TRAINER_TOPIC,
+    Trainer,
+    TrainerReach,
+    TrainerRequest,
+)
 from telepresence.haptics.device.states import JoystickState
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import STATE_OCTETS, LedPanel
@@ -43,7 +45,7 @@ def run_leds(context: Context) -> None:
     ready = select.poll()
     ready.register(udp, select.POLLIN)
     with context.open_bus() as bus:
-        writer = MissionWriter(bus, MISSION_LEDS_TOPIC)
+        writer = TopicWriter(bus, MISSION_LEDS_TOPIC)
         while not context.stopping:
             ready.poll(_TICK_S * 1000)
             now_ns = clock.now_ns()
@@ -79,27 +81,26 @@ def run_panel(context: Context) -> None:
     clock, panel = context.clock, MissionPanel()
     with context.open_bus() as bus:
         client = TmtcClient(bus, context.session, Segment.SPACE, PANEL, first_number=clock.now_ns())
-        writer = MissionWriter(bus, MISSION_PANEL_TOPIC)
-        states = bus.reader(JOYSTICK_STATE_TOPIC, depth=_STATES)
-        links = bus.reader(link_state_topic(Segment.SPACE))
-        status, pressed, ticks = None, None, 0
+        writer = TopicWriter(bus, MISSION_PANEL_TOPIC)
+        states = TopicReader(bus, JOYSTICK_STATE_TOPIC, depth=_STATES)
+        links = TopicReader(bus, link_state_topic(Segment.SPACE))
+        pressed, ticks = None, 0
         while not context.stopping:
             now_ns = clock.now_ns()
-            if (link := links.latest_octets()) is not None:
-                panel.handle_contact(unpack_link(link).get("state") == CONNECTED, now_ns)
+            if (link := links.latest()) is not None:
+                panel.handle_contact(link.get("state") == CONNECTED, now_ns)
             for came in client.work(now_ns):
                 if isinstance(came, FunctionAsked):
                     panel.handle_button(now_ns)
                     client.answer(came, "")
                 else:
                     panel.handle_message(came, now_ns)
-            while (octets := states.next_octets()) is not None:
-                status = unpack_status(octets) or status
+            while (status := states.next()) is not None:
                 # A joystick that was restarted counts anew.
-                if status is not None and pressed is not None and status.pressed > pressed:
+                if pressed is not None and status.pressed > pressed:
                     panel.handle_button(now_ns)
-                pressed = None if status is None else status.pressed
-            if status is not None:
+                pressed = status.pressed
+            if (status := states.newest) is not None:
                 halted = status.state >= JoystickState.HALTED
                 panel.handle_handle(
                     status.x_m,
@@ -124,9 +125,6 @@ def run_panel(context: Context) -> None:
             clock.sleep_until_ns(now_ns + _TICK_NS)
 
 
-_OCTETS = 4096
-
-
 def run_trainer(context: Context) -> None:
     """Take requests, and publish what lasts."""
     now_ns = context.clock.now_ns
@@ -141,9 +139,9 @@ def run_trainer(context: Context) -> None:
             lambda request, _: trainer.handle_request(request, now_ns()),
         ) as server,
     ):
-        writer = NumberedTopic(bus, TRAINER_TOPIC, max_octets=_OCTETS)
+        writer = TopicWriter(bus, TRAINER_TOPIC)
         while not context.stopping:
             context.tick(now_ns())
             server.serve(TIMEOUT_NS)
             if (exercises := trainer.poll_exercises(now_ns())) is not None:
-                writer.publish_octets(exercises.pack(), now_ns())
+                writer.publish(exercises, now_ns())

@@ -18,14 +18,22 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root, remember, session_root
-from pipelines.link.link_metrics import CONNECTED, unpack_link
-from pipelines.media.following import Choice
+from pipelines.link.link_metrics import CONNECTED, link_state_topic
+from pipelines.media.following import SELECTED_TOPIC
 from pipelines.mission.mission import MissionGround, MissionMemory, Seen, TaskOptions, robot_order
 from pipelines.mission.mission_metrics import TaskMetrics
 from pipelines.mission.tmtc_messages import FunctionAsked
 from pipelines.mission.tmtc_socket import TmtcClient
 from pipelines.session.datagrams import LOOPBACK, receive
-from pipelines.session.mission_messages import CameraRequest, RobotStatus
+from pipelines.session.mission_messages import (
+    MISSION_CAMERA_TOPIC,
+    MISSION_GROUND_TOPIC,
+    ROBOT_ORDER_TOPIC,
+    ROBOT_STATUS_TOPIC,
+    SECOND_ROBOT_TOPIC,
+    CameraRequest,
+    RobotStatus,
+)
 from pipelines.session.process import Context
 from pipelines.session.recording_requests import (
     RECORDER_S,
@@ -40,21 +48,9 @@ from pipelines.session.recording_requests import (
 )
 from pipelines.session.requests import ask
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
-from pipelines.session.topic_ends import MissionReader, MissionWriter, new_exercises, unpack_state
-from pipelines.session.topology import (
-    MISSION_CAMERA_TOPIC,
-    MISSION_GROUND_TOPIC,
-    ROBOT_ORDER_TOPIC,
-    ROBOT_STATUS_TOPIC,
-    SECOND_ROBOT_TOPIC,
-    SELECTED_TOPIC,
-    TASKS,
-    TRAINER_TOPIC,
-    Segment,
-    leds_port,
-    link_state_topic,
-)
-from pipelines.session.training import Exercises
+from pipelines.session.topic_ends import TopicReader, TopicWriter
+from pipelines.session.topology import TASKS, Segment, leds_port
+from pipelines.session.training import TRAINER_TOPIC
 from telepresence.malformed import MALFORMED
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.kernel import TICK_NS, ChooseCamera, OtherHand, Record
@@ -97,18 +93,17 @@ class _Tasks:
         )
         if self._kept is None and self._remembered.exists():
             self._ground.switch_off(now_ns)
-        self._other_robot = bus.reader(SECOND_ROBOT_TOPIC) if options.two_hands else None
+        self._other_robot = TopicReader(bus, SECOND_ROBOT_TOPIC) if options.two_hands else None
         self._other: WorldState | None = None
         self._client = TmtcClient(bus, context.session, Segment.GROUND, TASKS, first_number=now_ns)
-        self._status = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
-        self._selected = bus.reader(SELECTED_TOPIC)
-        self._links = bus.reader(link_state_topic(Segment.GROUND))
+        self._status = TopicReader(bus, ROBOT_STATUS_TOPIC)
+        self._selected = TopicReader(bus, SELECTED_TOPIC)
+        self._links = TopicReader(bus, link_state_topic(Segment.GROUND))
         trained = TRAINER_TOPIC in context.topology.reads(TASKS)
-        self._new_exercises = new_exercises(bus) if trained else None
-        self._exercises = Exercises()
-        self._orders = MissionWriter(bus, ROBOT_ORDER_TOPIC)
-        self._cameras = MissionWriter(bus, MISSION_CAMERA_TOPIC)
-        self._shown = MissionWriter(bus, MISSION_GROUND_TOPIC, wake=True)
+        self._exercises = TopicReader(bus, TRAINER_TOPIC) if trained else None
+        self._orders = TopicWriter(bus, ROBOT_ORDER_TOPIC)
+        self._cameras = TopicWriter(bus, MISSION_CAMERA_TOPIC)
+        self._shown = TopicWriter(bus, MISSION_GROUND_TOPIC, wake=True)
         self._udp = context.listen(0)
         self._leds = options.leds or (LOOPBACK, leds_port(context.setup))
         self._files = RunFiles(context.session, options.runs)
@@ -145,12 +140,11 @@ class _Tasks:
                 self._ground.handle_message(came, now_ns)
         while (octets := receive(self._udp, ACKNOWLEDGEMENT_OCTETS + 1)) is not None:
             self._ground.leds.handle_datagram(octets, now_ns)
-        if self._new_exercises is not None:
-            self._exercises = self._new_exercises() or self._exercises
-        if (choice := self._selected.latest_octets()) is not None:
-            self._camera = Choice.unpack(choice).camera
-        if (link := self._links.latest_octets()) is not None:
-            values = unpack_link(link)
+        if self._exercises is not None:
+            self._exercises.latest()
+        if (choice := self._selected.latest()) is not None:
+            self._camera = choice.camera
+        if (values := self._links.latest()) is not None:
             self._signal = values.get("state") == CONNECTED
             frames, lost = values.get("frames", 0), values.get("frames_lost", 0)
             self._link = self._link._replace(frames=int(frames), frames_lost=int(lost))
@@ -163,6 +157,7 @@ class _Tasks:
         elif self._boot_id and robot.boot_id != self._boot_id:
             robot = msgspec.structs.replace(robot, fault=robot.fault or "it was restarted")
         self._boot_id = robot.boot_id
+        exercises = None if self._exercises is None else self._exercises.newest
         return Seen(
             robot=robot,
             camera=self._camera,
@@ -170,15 +165,14 @@ class _Tasks:
             signal=self._signal,
             link=self._link,
             other=self._other_hand(now_ns),
-            exercise=now_ns < self._exercises.tasks_ns,
+            exercise=exercises is not None and now_ns < exercises.tasks_ns,
         )
 
     def _other_hand(self, now_ns: int) -> OtherHand | None:
         if self._other_robot is None:
             return None
-        if (octets := self._other_robot.latest_octets()) is not None:
-            self._other = unpack_state(octets)
-        other = self._other
+        self._other_robot.latest()
+        other = self._other_robot.newest
         if other is None or now_ns - other.time_ns > _SILENT_NS:
             return None
         return OtherHand(x_m=other.x_m, y_m=other.y_m, push_n=other.force_n, holds=other.holds)

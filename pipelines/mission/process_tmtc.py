@@ -11,15 +11,16 @@ outlives the process.
 import secrets
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S
-from kontur_av.topics.bus import Reader, TopicBus
+from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root, remember, session_root
-from pipelines.hand.hand_topics import REQUEST_OCTETS, unpack_status
-from pipelines.link.link_metrics import unpack_link
-from pipelines.media.following import CHOICE_OCTETS, unpack_confirmed
+from pipelines.hand.hand_topics import JOYSTICK_COMMAND_TOPIC, JOYSTICK_STATE_TOPIC
+from pipelines.link.link_metrics import link_state_topic
+from pipelines.media.following import FOLLOWED_TOPIC, SELECTED_TOPIC
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.component_service import ComponentService
 from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
@@ -27,48 +28,36 @@ from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import (
     MAX_NEWS_OCTETS,
     MAX_REQUEST_OCTETS,
+    TMTC_TOPICS,
     FunctionAsked,
     TmtcRequest,
     Values,
-    pack_news,
-    unpack_news,
 )
 from pipelines.mission.tmtc_socket import send_to_tmtc, tmtc_socket_name, write_dictionary
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import (
-    MISSION_OCTETS,
-    CameraRequest,
-    RobotStatus,
-    pack,
-    unpack,
-)
-from pipelines.session.process import TIMEOUT_NS, Context
-from pipelines.session.requests import RequestServer
-from pipelines.session.session_metrics import ProcessState
-from pipelines.session.topic_ends import NumberedTopic, SampleTopic, unpack_state
-from pipelines.session.topology import (
-    FOLLOWED_TOPIC,
-    JOYSTICK_COMMAND_TOPIC,
-    JOYSTICK_STATE_TOPIC,
     MISSION_CAMERA_TOPIC,
     ROBOT_COMMAND_TOPIC,
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
-    SELECTED_TOPIC,
+)
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.requests import RequestServer
+from pipelines.session.session_metrics import ProcessState
+from pipelines.session.topic_ends import TopicReader, TopicWriter
+from pipelines.session.topology import (
     SELECTOR,
     TELECOMMAND,
     TELECOMMAND_KIND,
     TELEMETRY,
     TELEMETRY_KIND,
-    TMTC_TOPICS,
     WALL_TOPIC,
     Segment,
     component_process,
-    link_state_topic,
     packet_topics,
 )
-from telepresence.haptics.mediated.wall import WALL_OCTETS, is_wall
+from telepresence.haptics.mediated.wall import is_wall
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import is_telecommand
 from telepresence.tmtc.pus.packets import COUNT_MODULUS
@@ -79,20 +68,18 @@ _STATES = 16
 
 _STATES_TOLD = msgspec.json.Decoder(list[ProcessState])
 
-Take = Callable[[bytes, int], None]
-
 
 class _PacketTopics:
     """What becomes of the packets of an end, for the recorder and for other ground systems."""
 
     def __init__(self, bus: TopicBus, segment: Segment) -> None:
         self._topics = {
-            key: SampleTopic(bus, topic) for key, topic in packet_topics(segment).items()
+            key: TopicWriter(bus, topic, wake=True) for key, topic in packet_topics(segment).items()
         }
 
     def publish(self, packet: bytes, way: str, now_ns: int) -> None:
         kind = TELECOMMAND_KIND if packet and is_telecommand(packet) else TELEMETRY_KIND
-        self._topics[kind, way].handle_sample(packet, now_ns)
+        self._topics[kind, way].publish_read(packet, now_ns)
 
 
 class TmtcServer:
@@ -125,47 +112,28 @@ class TmtcServer:
         self._send, self._ask, self._context = send, ask, context
         self._supervisor = ProcessSupervisor(segment, context.topology)
         self._packets = _PacketTopics(bus, segment)
-        news = TMTC_TOPICS[segment]
-        self._news = NumberedTopic(bus, news, max_octets=MAX_NEWS_OCTETS, wake=True)
+        self._news = TopicWriter(bus, TMTC_TOPICS[segment], wake=True, octets=MAX_NEWS_OCTETS)
         gateway = GatewaySource(self.end, f"{segment.value}_gateway")
-
-        def take_link(octets: bytes, now_ns: int) -> None:
-            gateway.handle_values(unpack_link(octets), now_ns)
-
-        self._topics: list[tuple[Reader, Take]] = [
-            (bus.reader(link_state_topic(segment)), take_link)
+        link = TopicReader(bus, link_state_topic(segment))
+        self._topics: list[tuple[TopicReader[Any], Callable[[Any, int], None]]] = [
+            (link, gateway.handle_values)
         ]
         #: Turns what an application is asked for into a request to its process; None: not its.
-        self._request: Callable[[FunctionAsked, int], bytes | None]
+        self._request: Callable[[FunctionAsked, int], object | None]
+        self._commands: TopicWriter[Any]
         if segment is Segment.SPACE:
             joystick = JoystickSource(self.end, first_number=now_ns)
             self._request = joystick.handle_asked
-            commands, octets = JOYSTICK_COMMAND_TOPIC, REQUEST_OCTETS
-
-            def take_joystick(octets: bytes, now_ns: int) -> None:
-                status = unpack_status(octets)
-                if status is not None:
-                    joystick.handle_status(status, now_ns)
-
-            self._topics.append((bus.reader(JOYSTICK_STATE_TOPIC, depth=_STATES), take_joystick))
+            self._commands = TopicWriter(bus, JOYSTICK_COMMAND_TOPIC, wake=True)
+            states = TopicReader(bus, JOYSTICK_STATE_TOPIC, depth=_STATES)
+            self._topics.append((states, joystick.handle_status))
         else:
             robot = RobotSource(self.end, first_number=now_ns)
-
-            def ask_robot(asked: FunctionAsked, _now_ns: int) -> bytes | None:
-                command = robot.handle_asked(asked)
-                return None if command is None else pack(command)
-
-            def take_robot(octets: bytes, now_ns: int) -> None:
-                robot.handle_state(unpack_state(octets), now_ns)
-
-            def take_status(octets: bytes, now_ns: int) -> None:
-                robot.handle_status(unpack(RobotStatus, octets), now_ns)
-
-            self._request = ask_robot
-            commands, octets = ROBOT_COMMAND_TOPIC, MISSION_OCTETS
-            self._topics.append((bus.reader(ROBOT_TOPIC), take_robot))
-            self._topics.append((bus.reader(ROBOT_STATUS_TOPIC, depth=_STATES), take_status))
-        self._commands = NumberedTopic(bus, commands, max_octets=octets, wake=True)
+            self._request = lambda asked, _: robot.handle_asked(asked)
+            self._commands = TopicWriter(bus, ROBOT_COMMAND_TOPIC, wake=True)
+            self._topics.append((TopicReader(bus, ROBOT_TOPIC), robot.handle_state))
+            statuses = TopicReader(bus, ROBOT_STATUS_TOPIC, depth=_STATES)
+            self._topics.append((statuses, robot.handle_status))
         make_session_root(context.session)
         write_dictionary(context.session, dictionary)
         self._now_ns = now_ns
@@ -188,8 +156,8 @@ class TmtcServer:
         """Take requests and parameters over, send packets, publish news."""
         end = self.end
         for reader, take in self._topics:
-            while (octets := reader.next_octets()) is not None:
-                take(octets, now_ns)
+            while (sample := reader.next()) is not None:
+                take(sample, now_ns)
         self._now_ns = now_ns
         self.requests.serve()
         while (told := self._context.receive_metrics()) is not None:
@@ -209,8 +177,8 @@ class TmtcServer:
                     self._context.order(order, now_ns)
                 asked = self._request(news, now_ns)
                 if asked is not None:
-                    self._commands.publish_octets(asked, now_ns)
-            self._news.publish_octets(pack_news(news), now_ns)
+                    self._commands.publish(asked, now_ns)
+            self._news.publish(news, now_ns)
 
     def wait_ns(self, now_ns: int, most_ns: int) -> int:
         """How long nothing has to be done without a request or a packet, at most `most_ns`."""
@@ -231,34 +199,33 @@ def run_selector(context: Context) -> None:
     to_gateway = context.own_sender(topology.entry_port(TELEMETRY))
     context.on_flush(choice.publish)
     with context.open_bus() as bus:
-        writer = NumberedTopic(bus, SELECTED_TOPIC, max_octets=CHOICE_OCTETS, wake=True)
-        reader = bus.reader(FOLLOWED_TOPIC)
-        wished = None
+        writer = TopicWriter(bus, SELECTED_TOPIC, wake=True)
+        followed = TopicReader(bus, FOLLOWED_TOPIC)
+        requests = None
         if MISSION_CAMERA_TOPIC in topology.reads(SELECTOR):
-            wished = bus.reader(MISSION_CAMERA_TOPIC)
+            requests = TopicReader(bus, MISSION_CAMERA_TOPIC)
         newest_request = -1
         asked: deque[FunctionAsked] = deque()
         service = TmtcServer(context, bus, Segment.GROUND, to_gateway, asked.append)
-        waiter = bus.waiter([reader], [udp.fileno(), service.requests.fileno()])
+        waiter = bus.waiter([followed.open()], [udp.fileno(), service.requests.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             changed = False
             while (datagram := receive(udp)) is not None:
                 service.handle_packet(datagram, now_ns)
-            if wished is not None and (octets := wished.latest_octets()) is not None:
-                camera_request = unpack(CameraRequest, octets)
-                if camera_request.number > newest_request:
-                    newest_request = camera_request.number
-                    changed |= choice.select(camera_request.camera, now_ns)
+            wanted = None if requests is None else requests.latest()
+            if wanted is not None and wanted.number > newest_request:
+                newest_request = wanted.number
+                changed |= choice.select(wanted.camera, now_ns)
             while asked:
                 changed |= choice.handle_asked(asked.popleft(), now_ns)
             if changed:
                 remember(remembered, choice.selected.encode("ascii"))
             if (told := choice.poll_choice(now_ns)) is not None:
-                writer.publish_octets(told.pack(), now_ns)
-            if (confirmed := reader.latest_octets()) is not None:
-                choice.handle_confirmed(unpack_confirmed(confirmed))
+                writer.publish(told, now_ns)
+            if (confirmed := followed.latest()) is not None:
+                choice.handle_confirmed(confirmed)
             while (request := choice.next_event()) is not None:
                 service.end.handle_request(request, now_ns)
             service.work(now_ns)
@@ -276,7 +243,7 @@ def run_console(context: Context) -> None:
     with context.open_bus() as bus:
         walls = None
         if context.setup.hand != "direct":
-            walls = NumberedTopic(bus, WALL_TOPIC, max_octets=WALL_OCTETS)
+            walls = TopicWriter(bus, WALL_TOPIC)
         service = TmtcServer(context, bus, Segment.SPACE, to_gateway)
         waiter = bus.waiter([], [udp.fileno(), service.requests.fileno()])
         while not context.stopping:
@@ -287,7 +254,7 @@ def run_console(context: Context) -> None:
                 if not service.handle_packet(datagram, now_ns) and is_wall(datagram):
                     wall = datagram
             if wall is not None and walls is not None:
-                walls.publish_octets(wall, now_ns)
+                walls.publish(wall, now_ns)
             service.work(now_ns)
             waiter.wait(service.wait_ns(now_ns, TIMEOUT_NS))
         del waiter
@@ -307,16 +274,16 @@ def run_component(context: Context, component: Component) -> None:
     source = load_telemetry(component.spec)
     source.configure()
     with context.open_bus() as bus:
-        reader = bus.reader(TMTC_TOPICS[Segment.GROUND], depth=_DEPTH)
+        reader = TopicReader(bus, TMTC_TOPICS[Segment.GROUND], depth=_DEPTH)
         now_ns = clock.now_ns()
         client = f"{table.name} {now_ns}"
         service = ComponentService(source, table, now_ns=now_ns, client=client, settings=known)
         context.on_flush(lambda: service.publish(context.probe))
-        waiter = bus.waiter([reader])
+        waiter = bus.waiter([reader.open()])
         while not context.stopping:
             context.tick(clock.now_ns())
-            while (octets := reader.next_octets()) is not None:
-                service.handle_news(unpack_news(octets), clock.now_ns())
+            while (news := reader.next()) is not None:
+                service.handle_news(news, clock.now_ns())
             service.handle_time(clock.now_ns())
             if service.settings != known:
                 known = service.settings

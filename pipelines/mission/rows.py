@@ -1,27 +1,27 @@
 """The processes of telecommands and telemetry, of tasks, and of a trainer."""
 
-from pipelines.session.topology import (
-    CONSOLE,
-    FOLLOWED_TOPIC,
-    JOYSTICK_COMMAND_TOPIC,
-    JOYSTICK_STATE_TOPIC,
-    LEDS,
+from pipelines.hand.hand_topics import JOYSTICK_COMMAND_TOPIC, JOYSTICK_STATE_TOPIC
+from pipelines.link.link_metrics import link_state_topic
+from pipelines.media.following import FOLLOWED_TOPIC, SELECTED_TOPIC
+from pipelines.mission.tmtc_messages import TMTC_TOPICS
+from pipelines.session.mission_messages import (
     MISSION_CAMERA_TOPIC,
     MISSION_GROUND_TOPIC,
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
-    PANEL,
     ROBOT_COMMAND_TOPIC,
     ROBOT_ORDER_TOPIC,
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
     SECOND_ROBOT_TOPIC,
-    SELECTED_TOPIC,
+)
+from pipelines.session.topology import (
+    CONSOLE,
+    LEDS,
+    PANEL,
     SELECTOR,
     TASKS,
-    TMTC_TOPICS,
     TRAINER,
-    TRAINER_TOPIC,
     WALL_TOPIC,
     ProcessRow,
     Segment,
@@ -30,9 +30,9 @@ from pipelines.session.topology import (
     component_process,
     given,
     leds_port,
-    link_state_topic,
     packet_topics,
 )
+from pipelines.session.training import TRAINER_TOPIC
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

@@ -12,6 +12,8 @@ from types import MappingProxyType
 import msgspec
 
 from kontur_av.errors import ConfigError, refused
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import Topic
 from telepresence.malformed import MALFORMED
 from telepresence.tmtc.k2aci import CLASSES, K2aciMessage
 from telepresence.tmtc.pus.dictionary import Application
@@ -19,6 +21,7 @@ from telepresence.tmtc.pus.user import SUPERSEDED
 from telepresence.tmtc.pus.values import Parameter, Value
 
 MAX_REQUEST_OCTETS = 2048
+#: Of news, but for long texts.
 MAX_NEWS_OCTETS = 4096
 
 Values = dict[str, Value]
@@ -177,7 +180,6 @@ K2ACI_KINDS: Mapping[str, type[K2aciMessage]] = MappingProxyType(
     {one.__name__: one for one in CLASSES}
 )
 _REQUESTS: msgspec.msgpack.Decoder[TmtcRequest] = msgspec.msgpack.Decoder(TmtcRequest)
-_NEWS: msgspec.msgpack.Decoder[TmtcNews] = msgspec.msgpack.Decoder(TmtcNews)
 
 
 def pack_request(request: TmtcRequest) -> bytes:
@@ -198,17 +200,15 @@ def unpack_request(octets: bytes) -> TmtcRequest | None:
         return None
 
 
-def pack_news(news: TmtcNews) -> bytes:
-    """Return news as octets, at most `MAX_NEWS_OCTETS`."""
-    return msgspec.msgpack.encode(news)
-
-
-def unpack_news(octets: bytes) -> TmtcNews | None:
-    """Return what `pack_news` packed, or None for anything else."""
-    try:
-        return _NEWS.decode(octets)
-    except MALFORMED:
-        return None
+#: By segment: what its end of telecommands and telemetry has to say.
+TMTC_TOPICS: Mapping[Segment, Topic[TmtcNews]] = {
+    segment: Topic(
+        f"tmtc/{segment.value}",
+        TmtcNews,
+        "reports, verification, what applications are asked for",
+    )
+    for segment in Segment
+}
 
 
 def plain_fields(message: K2aciMessage) -> Fields:

@@ -7,9 +7,10 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from kontur_av.topics.bus import Reader, TopicBus
+from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import replace_file, session_root
 from pipelines.mission.tmtc_messages import (
+    TMTC_TOPICS,
     CommandUpdate,
     FunctionAsked,
     FunctionDone,
@@ -25,10 +26,10 @@ from pipelines.mission.tmtc_messages import (
     k2aci_message,
     pack_request,
     plain_fields,
-    unpack_news,
 )
 from pipelines.session.requests import post
-from pipelines.session.topology import TMTC_TOPICS, Segment
+from pipelines.session.topic_ends import TopicReader
+from pipelines.session.topology import Segment
 from telepresence.tmtc.k2aci import K2aciMessage
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.retransmission import Retransmission
@@ -84,7 +85,7 @@ class TmtcClient:
     ) -> None:
         self._session, self._segment, self._application = session, segment, application
         self._client = f"{application} {first_number}"
-        self._news = bus.reader(TMTC_TOPICS[segment], depth=_DEPTH)
+        self._news = TopicReader(bus, TMTC_TOPICS[segment], depth=_DEPTH)
         self._waiting: Retransmission[K2aciMessage] = Retransmission(
             timeout_ns=_AGAIN_NS, most=_MOST_WAITING, longest=1
         )
@@ -110,8 +111,7 @@ class TmtcClient:
 
     def work(self, now_ns: int) -> Iterator[K2aciMessage | FunctionAsked]:
         """Yield what has come for this application."""
-        while (octets := self._news.next_octets()) is not None:
-            news = unpack_news(octets)
+        while (news := self._news.next()) is not None:
             if isinstance(news, K2aciArrived):
                 yield k2aci_message(news.kind, news.fields)
             elif isinstance(news, FunctionAsked) and news.application == self._application:
@@ -140,10 +140,10 @@ _REPORTS = {"report": "housekeeping", "parameters": "parameters"}
 class Sending:
     """Sends a request until the end has taken it, then follows what is said of it."""
 
-    def __init__(self, session: str, origin: Segment, request: SendCommand, reader: Reader) -> None:
+    def __init__(self, session: str, origin: Segment, request: SendCommand, bus: TopicBus) -> None:
         self._session, self._origin = session, origin
         self._request = request
-        self._reader = reader
+        self._reader = TopicReader(bus, TMTC_TOPICS[origin], depth=_DEPTH)
         self._taken = False
         self._stage = ""
         #: The report that was asked for has come, or none was.
@@ -164,15 +164,14 @@ class Sending:
                 send_to_tmtc(self._session, self._origin, self._request)
             if now_ns - begun_ns > (_TIMEOUT_NS if self._taken else _TAKEN_NS):
                 return
-            self._reader.wait(_LOOK_NS)
-            while (octets := self._reader.next_octets()) is not None:
-                fresh = self._take(unpack_news(octets))
-                if fresh is not None:
+            self._reader.open().wait(_LOOK_NS)
+            while (news := self._reader.next()) is not None:
+                if (fresh := self._take(news)) is not None:
                     yield fresh
             if self.done is not None and end_ns == begun_ns:
                 end_ns = time.monotonic_ns() + _ASK_AGAIN_NS if self.done.ok else now_ns
 
-    def _take(self, news: TmtcNews | None) -> CommandUpdate | Reported | None:
+    def _take(self, news: TmtcNews) -> CommandUpdate | Reported | None:
         """Return news of this telecommand that were not told yet."""
         request = self._request
         if isinstance(news, CommandUpdate):

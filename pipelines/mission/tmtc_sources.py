@@ -11,7 +11,7 @@ from collections import OrderedDict
 from math import nan
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.hand.hand_topics import HandRequest, JoystickStatus, pack_request
+from pipelines.hand.hand_topics import HandRequest, JoystickStatus
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, Values
 from pipelines.session.mission_messages import RobotCommand, RobotStatus
@@ -172,12 +172,12 @@ class JoystickSource:
         self._next_ns = 0
         self._asked = _Asked("joystick", end, first_number=first_number)
 
-    def handle_asked(self, asked: FunctionAsked, now_ns: int) -> bytes | None:
+    def handle_asked(self, asked: FunctionAsked, now_ns: int) -> HandRequest | None:
         """Return the request for the joystick, or None, if it is for another part."""
         event = _EVENTS.get(asked.function)
         if asked.application != "joystick" or event is None:
             return None
-        return pack_request(HandRequest(self._asked.handle_asked(asked), event))
+        return HandRequest(self._asked.handle_asked(asked), event)
 
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
         """The newest state of the joystick."""

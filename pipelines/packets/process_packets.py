@@ -3,7 +3,6 @@
 `PacketBridge` decides; this module has the sockets and topics.
 """
 
-import argparse
 import fcntl
 import re
 import socket
@@ -17,9 +16,8 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.topics.bus import Reader
-from pipelines.link.link_metrics import unpack_frames
 from pipelines.mission.supervisor import session_dictionary
-from pipelines.mission.tmtc_messages import unpack_news
+from pipelines.mission.tmtc_messages import TMTC_TOPICS
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.packets.bridge import (
     AllowedCommands,
@@ -39,18 +37,20 @@ from pipelines.session.datagrams import (
     outlet,
     resolve,
 )
-from pipelines.session.option_rows import add_options
+from pipelines.session.options import StreamOptions
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.session_metrics import SampleNumbers
 from pipelines.session.setup.segments import Direction
+from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import (
     FRAMES,
     PACKETS,
     TELEMETRY_KIND,
-    TMTC_TOPICS,
+    Frames,
     Topology,
     packet_topics,
 )
+from pipelines.session.topology.topics import Topic
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import MAX_PACKET_OCTETS
@@ -94,21 +94,8 @@ class PacketsOptions(NamedTuple):
     udp: bool
 
 
-def add_packets_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        f"{_OPTION} tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and "
-        "take its telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at "
-        "PORT + 1",
-        "--packets-allow WHAT <*>  telecommands that may come by --packets: APPLICATION, "
-        "APPLICATION.FUNCTION or all; repeatable (default: questions alone)",
-        f"{_FRAMES} udp:HOST:PORT  send copies of the radio link's frames to another ground "
-        "system: the downlink's to PORT, the uplink's to PORT + 1",
-    )
-
-
 def checked_packets(
-    args: argparse.Namespace, topology: Topology
+    args: StreamOptions, topology: Topology
 ) -> AbstractContextManager[PacketsPlan | None]:
     """Return what the options ask for, to bind its socket; ConfigError if that cannot be."""
     if args.packets is None:
@@ -179,15 +166,15 @@ def run_packets(context: Context, plan: PacketsPlan) -> None:
             for (kind, _), topic in packet_topics(segment).items()
             if kind == TELEMETRY_KIND
         ]
-        news = bus.reader(TMTC_TOPICS[segment], depth=_DEPTH)
+        news = TopicReader(bus, TMTC_TOPICS[segment], depth=_DEPTH)
         descriptors = peers.descriptors
-        waiter = bus.waiter([*packets, news], descriptors)
+        waiter = bus.waiter([*packets, news.open()], descriptors)
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             peers.read(bridge, now_ns)
-            while (octets := news.next_octets()) is not None:
-                bridge.handle_news(unpack_news(octets), now_ns)
+            while (told := news.next()) is not None:
+                bridge.handle_news(told, now_ns)
             while (request := bridge.poll_request()) is not None:
                 if not send_to_tmtc(context.session, segment, request):
                     break
@@ -201,7 +188,7 @@ def run_packets(context: Context, plan: PacketsPlan) -> None:
             if peers.descriptors != descriptors:
                 descriptors = peers.descriptors
                 del waiter
-                waiter = bus.waiter([*packets, news], descriptors)
+                waiter = bus.waiter([*packets, news.open()], descriptors)
             waiter.wait(TIMEOUT_NS)
         del waiter
     peers.close()
@@ -353,6 +340,7 @@ def run_frames(context: Context, address: Address) -> None:
         ways = {
             way: FrameCopies(
                 bus.reader(topic, depth=_DEPTH),
+                topic,
                 outlet(bind, (host, port + (way is Direction.UPLINK))),
             )
             for way, topic in context.topology.frame_topics(segment).items()
@@ -378,8 +366,8 @@ def run_frames(context: Context, address: Address) -> None:
 class FrameCopies:
     """One direction of the link: where its frames come from, and where they go."""
 
-    def __init__(self, reader: Reader, to: Outlet) -> None:
-        self._reader, self.to = reader, to
+    def __init__(self, reader: Reader, topic: Topic[Frames], to: Outlet) -> None:
+        self._reader, self._topic, self.to = reader, topic, to
         self.copied = self.missed = 0
         self._numbers = SampleNumbers()
 
@@ -391,6 +379,6 @@ class FrameCopies:
             with lease:
                 sequence, octets = lease.stamp.sequence, lease.octets()
             self.missed += self._numbers.handle_sample("", sequence)
-            for _, frame in unpack_frames(octets):
+            for _, frame in self._topic.unpack(octets):
                 self.to.send(frame)
                 self.copied += 1

@@ -1,10 +1,10 @@
 """The processes that another ground system talks to."""
 
+from pipelines.mission.tmtc_messages import TMTC_TOPICS
 from pipelines.session.topology import (
     FRAMES,
     PACKETS,
     TELEMETRY_KIND,
-    TMTC_TOPICS,
     ProcessRow,
     Segment,
     Stage,

@@ -1,14 +1,14 @@
 """What the leg to a partner decides: when to connect, whom to admit, how to code. Cores."""
 
-import struct
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import Coding
 from kontur_av.meters import RateMeter
 from pipelines.session.access import is_token
+from pipelines.session.topology.topics import Topic
 
 _FIRST_NS = 500 * NS_PER_MS
 _LONGEST_NS = 30 * NS_PER_S
@@ -267,10 +267,6 @@ class PicturePlan:
         self._free_ns = max(self._free_ns, now_ns) + octets * 8 * NS_PER_S // self._bps
 
 
-_FORMAT = struct.Struct("=qq")
-REQUEST_OCTETS = _FORMAT.size
-
-
 class CodingRequest(NamedTuple):
     """How to code the picture for partners.
 
@@ -280,12 +276,10 @@ class CodingRequest(NamedTuple):
     bps: int
     keys: int
 
-    def pack(self) -> bytes:
-        return _FORMAT.pack(*self)
 
-    @classmethod
-    def unpack(cls, octets: bytes) -> Self:
-        return cls(*_FORMAT.unpack(octets))
+RTC_REQUEST_TOPIC = Topic[CodingRequest](
+    "rtc/request", CodingRequest, "rate and key pictures that the partner asks for"
+)
 
 
 class UplinkRequest:

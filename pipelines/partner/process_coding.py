@@ -12,22 +12,20 @@ from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import ReceivedTopics, SentTopic
-from pipelines.media.following import Choice
-from pipelines.partner.decisions import CodingRequest, PicturePlan
+from pipelines.media.following import SELECTED_TOPIC
+from pipelines.partner.decisions import RTC_REQUEST_TOPIC, CodingRequest, PicturePlan
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import GROUND_MIC
-from pipelines.session.topic_ends import SampleTopic
+from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import (
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
     RTC_CODED_CAMERA_TOPIC,
     RTC_DECODED_CAMERA_TOPIC,
-    RTC_REQUEST_TOPIC,
     RTC_SPEECH_TOPIC,
     RTC_UNITS_TOPIC,
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
-    SELECTED_TOPIC,
     partner_camera,
 )
 
@@ -49,14 +47,14 @@ def run_rtc_encode(context: Context) -> None:
     voice = OpusEncoder(bitrate_bps=leg.voice_bps) if speaks else None
     with context.open_bus() as bus, EncodingThread(encoder, clock) as encoding:
         camera = _SelectedCamera(context, bus)
-        requests = bus.reader(RTC_REQUEST_TOPIC)
+        requests = TopicReader(bus, RTC_REQUEST_TOPIC)
         request = CodingRequest(0, 0)
         microphone = (
             bus.reader(context.topology.input(GROUND_MIC).topic, depth=8) if speaks else None
         )
         pictures = SentTopic(bus, RTC_VIDEO, RTC_VIDEO_TOPIC)
-        packets = SampleTopic(bus, RTC_SPEECH_TOPIC) if speaks else None
-        others = [requests] if microphone is None else [requests, microphone]
+        packets = TopicWriter(bus, RTC_SPEECH_TOPIC, wake=True) if speaks else None
+        others = [requests.open(), *([] if microphone is None else [microphone])]
         waiter = bus.waiter([*others, *camera.readers], [encoding.fileno()])
         encoded: Lease | None = None
         numbers = 0
@@ -67,10 +65,7 @@ def run_rtc_encode(context: Context) -> None:
                 plan.handle_key_request()
                 del waiter
                 waiter = bus.waiter([*others, *camera.readers], [encoding.fileno()])
-            told = requests.latest()
-            if told is not None:
-                with told:
-                    newest = CodingRequest.unpack(told.octets())
+            if (newest := requests.latest()) is not None:
                 if newest.keys != request.keys or not request.bps:
                     plan.handle_key_request()
                 request = newest
@@ -100,7 +95,7 @@ def run_rtc_encode(context: Context) -> None:
                         continue
                     sound = block.audio()
                     octets = voice.encode(sound.samples)
-                packets.handle_sample(octets, heard_stamp(sound.stamp).capture_ns)
+                packets.publish_read(octets, heard_stamp(sound.stamp).capture_ns)
         encoding.close()
         if encoded is not None:
             encoded.release()
@@ -113,7 +108,7 @@ class _SelectedCamera:
 
     def __init__(self, context: Context, bus: TopicBus) -> None:
         self._topology, self._bus = context.topology, bus
-        self._choices = bus.reader(SELECTED_TOPIC)
+        self._choices = TopicReader(bus, SELECTED_TOPIC)
         self._camera = ""
         self._reader: Reader | None = None
         #: Readers of earlier cameras, one of whose pictures may still be in the encoder.
@@ -122,12 +117,12 @@ class _SelectedCamera:
     @property
     def readers(self) -> list[Reader]:
         """The readers whose new samples matter."""
-        return [self._choices, *([] if self._reader is None else [self._reader])]
+        return [self._choices.open(), *([] if self._reader is None else [self._reader])]
 
     def handle_choice(self) -> bool:
         """Read the newest choice; True if another camera is selected now."""
-        octets = self._choices.latest_octets()
-        chosen = self._camera if octets is None else Choice.unpack(octets).camera
+        choice = self._choices.latest()
+        chosen = self._camera if choice is None else choice.camera
         if chosen == self._camera:
             return False
         self._camera = chosen

@@ -11,9 +11,10 @@ from kontur_av.media import AccessUnit, AudioFrame, CaptureStamp, Quality
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.bus import Lease, TopicBus
+from pipelines.hand.hand_topics import ARM_ORDER_TOPIC
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.media.unit_history import KeptUnit, UnitHistory
-from pipelines.partner.decisions import REQUEST_OCTETS, UplinkRequest
+from pipelines.partner.decisions import RTC_REQUEST_TOPIC, UplinkRequest
 from pipelines.partner.description import Kind
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.media import PictureCame, SoundCame
@@ -27,13 +28,11 @@ from pipelines.session.hand_messages import UNKNOWN_US
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
-from pipelines.session.topic_ends import NumberedTopic, SampleTopic
+from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import (
-    ARM_ORDER_TOPIC,
     RTC,
     RTC_CAMERA,
     RTC_CODED_VOICE_TOPIC,
-    RTC_REQUEST_TOPIC,
     RTC_SPEECH,
     RTC_SPEECH_TOPIC,
     RTC_UNITS_TOPIC,
@@ -86,7 +85,7 @@ class _Leg:
             self._programmes.append(self._downlink.programme)
         arm = context.setup.partner_arm
         # Only a shared arm is the owner's to lend.
-        self._orders = bus.reader(ARM_ORDER_TOPIC) if arm == "shared" else None
+        self._orders = TopicReader(bus, ARM_ORDER_TOPIC) if arm == "shared" else None
         self._lent = self._orders is None
         self._server = RtcServer(
             context.pages[RTC],
@@ -117,9 +116,9 @@ class _Leg:
 
     def _handle_time(self, _: int) -> None:
         self._uplink.handle_time()
-        order = None if self._orders is None else self._orders.latest_octets()
+        order = None if self._orders is None else self._orders.latest()
         if order is not None:
-            self._lent = order == Authority.PARTNER.value.encode("ascii")
+            self._lent = order is Authority.PARTNER
         self._count()
 
     def _count(self) -> None:
@@ -187,7 +186,7 @@ class _Uplink:
             self.feeds.append(Feed(loop, bus, RTC_SPEECH_TOPIC, self._packet, depth=_DEPTH))
         self.programme = Programme(UPLINK, sends=sends, want_key=lambda _: self._want_key())
         self.request = UplinkRequest(most_bps=leg.video_bps)
-        self._requests = NumberedTopic(bus, RTC_REQUEST_TOPIC, max_octets=REQUEST_OCTETS, wake=True)
+        self._requests = TopicWriter(bus, RTC_REQUEST_TOPIC, wake=True)
 
     def handle_time(self) -> None:
         """Follow the partners' requests, and tell the coding process, also one that began since."""
@@ -202,7 +201,7 @@ class _Uplink:
         now_ns = self._clock.now_ns()
         watched = any(peer.connected for peer in self.programme.peers)
         request = self.request.request(watched=watched)
-        self._requests.publish_octets(request.pack(), now_ns)
+        self._requests.publish(request, now_ns)
 
     def _unit(self, lease: Lease) -> None:
         unit, stamp = CodedUnit.unpack(lease.octets()), lease.stamp
@@ -320,7 +319,7 @@ class _Partner:
         self._time = PartnerTime()
         self._units = bus.writer(RTC_UNITS_TOPIC, max_octets=_UNITS_OCTETS)
         self._voice = bus.writer(RTC_VOICE_TOPIC, max_octets=MAX_PACKET_SAMPLES * 2)
-        self._packets = SampleTopic(bus, RTC_CODED_VOICE_TOPIC)
+        self._packets = TopicWriter(bus, RTC_CODED_VOICE_TOPIC, wake=True)
         self._player = VoicePlayer()
         self._numbers, self._sounds = count(), count()
 
@@ -347,7 +346,7 @@ class _Partner:
         block = event.block
         samples, decoded = self._player.play(block)
         if block.payload is not None and not block.recovered:
-            self._packets.handle_sample(block.payload, capture_ns, block.timestamp)
+            self._packets.publish_read(block.payload, capture_ns, block.timestamp)
         quality = Quality.FRESH if decoded else Quality.CONCEALED
         stamp = CaptureStamp(capture_ns, next(self._sounds), RTC_VOICE, quality, block.timestamp)
         self._voice.publish_audio(AudioFrame(samples, stamp))

@@ -1,8 +1,10 @@
 """The processes of the leg to a partner across the Internet, all of them on the ground."""
 
+from pipelines.hand.hand_topics import ARM_ORDER_TOPIC
+from pipelines.media.following import SELECTED_TOPIC
+from pipelines.partner.decisions import RTC_REQUEST_TOPIC
 from pipelines.session.setup.table import GROUND_MIC
 from pipelines.session.topology import (
-    ARM_ORDER_TOPIC,
     RTC,
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
@@ -11,12 +13,10 @@ from pipelines.session.topology import (
     RTC_DECODED_CAMERA_TOPIC,
     RTC_DISPLAY,
     RTC_DISPLAYED_TOPIC,
-    RTC_REQUEST_TOPIC,
     RTC_SPEECH_TOPIC,
     RTC_UNITS_TOPIC,
     RTC_VIDEO_TOPIC,
     RTC_VOICE_TOPIC,
-    SELECTED_TOPIC,
     ProcessRow,
     Segment,
     Stage,

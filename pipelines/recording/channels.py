@@ -11,6 +11,8 @@ from enum import Enum
 from mcap.records import Channel, Schema
 
 from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
+from pipelines.link.link_metrics import gateway_topic
 from pipelines.recording.recorded_messages import (
     AUDIO,
     EVENT,
@@ -29,11 +31,8 @@ from pipelines.recording.recorded_messages import (
     VIDEO,
 )
 from pipelines.recording.schemas import MessageSchema, descriptor_set
+from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, MISSION_LEDS_TOPIC
 from pipelines.session.topology import (
-    JOYSTICK_TRACE_TOPIC,
-    MISSION_GROUND_TOPIC,
-    MISSION_LEDS_TOPIC,
-    ROBOT_TRACE_TOPIC,
     RTC_CAMERA,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
@@ -44,9 +43,9 @@ from pipelines.session.topology import (
     Segment,
     Topology,
     VideoRow,
-    gateway_topic,
     packet_topics,
 )
+from pipelines.session.topology.topics import AnyTopic
 
 PROTOBUF = "protobuf"
 EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"
@@ -99,7 +98,7 @@ class Source:
     becomes of each sample, in words.
     """
 
-    topic: str
+    topic: AnyTopic
     content: Content
     name: str
     messages: Mapping[str, str]
@@ -188,7 +187,7 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
             yield Source(row.topic, Content.CAMERA, row.name, {f"/camera/{row.name}": what})
     for segment in Segment:
         for (kind, way), topic in packet_topics(segment).items():
-            messages = {f"/{kind}/{segment.value}/{way}": topic.sample}
+            messages = {f"/{kind}/{segment.value}/{way}": topic.what}
             yield Source(topic, Content.PACKET, kind, messages)
     for segment in Segment:
         out, back = segment.transmits.value, segment.transmits.opposite.value
@@ -199,9 +198,9 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
         yield Source(gateway_topic(segment), Content.GATEWAY, segment.value, messages)
     for link in topology.links if link_frames else ():
         name = link.direction.value
-        for way, topic in ((SENT, link.sent_frames_topic), (RECEIVED, link.received_frames_topic)):
+        for way, frames in ((SENT, link.sent_frames_topic), (RECEIVED, link.received_frames_topic)):
             messages = {f"/link/{name}/frames/{way}": f"frames as {way}, if asked for"}
-            yield Source(topic, Content.FRAMES, name, messages)
+            yield Source(frames, Content.FRAMES, name, messages)
     written = {topic for row in topology.processes for topic in row.writes}
     for tasks, content, channel in (
         (MISSION_GROUND_TOPIC, Content.EXPERIMENT, "/experiment"),
@@ -221,7 +220,7 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
         yield Source(_TRACES[end], Content.HAPTICS, end, messages)
 
 
-def _unit(name: str, way: str, topic: str, which: str) -> Source:
+def _unit(name: str, way: str, topic: AnyTopic, which: str) -> Source:
     messages = {
         f"/{name}/{way}": f"access unit {which}",
         f"/{name}/{way}/facts": f"facts about the access unit {which}",
@@ -229,5 +228,5 @@ def _unit(name: str, way: str, topic: str, which: str) -> Source:
     return Source(topic, Content.UNIT, name, messages)
 
 
-def _sound(name: str, way: str, topic: str, which: str) -> Source:
+def _sound(name: str, way: str, topic: AnyTopic, which: str) -> Source:
     return Source(topic, Content.SOUND, name, {f"/{name}/{way}": f"Opus packet {which}"})

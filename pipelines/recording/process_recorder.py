@@ -17,7 +17,7 @@ from kontur_av import __version__
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.metrics import plus
-from pipelines.media.following import Choice
+from pipelines.media.following import SELECTED_TOPIC
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.recording import part_files
 from pipelines.recording.camera_reader import CameraReader
@@ -42,7 +42,7 @@ from pipelines.session.recording_requests import (
 from pipelines.session.requests import RequestServer
 from pipelines.session.session_metrics import SessionEvents, gathered
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import SELECTED_TOPIC
+from pipelines.session.topic_ends import TopicReader
 
 #: How often topics are read.
 _WAKE_NS = 50 * NS_PER_MS
@@ -197,7 +197,7 @@ class _Recording:
             for source in sources
             if source.content is not Content.CAMERA
         ]
-        self._selected = self._bus.reader(SELECTED_TOPIC)
+        self._selected = TopicReader(self._bus, SELECTED_TOPIC)
         whole = setup.recorded_cameras == "all"
         self._cameras = [
             CameraReader(self._bus, source, self._recorder.coder(source), whole=whole)
@@ -239,10 +239,8 @@ class _Recording:
                     octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
                 recorder.handle_sample(source, octets, stamp, self._now_ns(), published_ns=at_ns)
         self._exchange_keys()
-        chosen = self._selected.latest()
-        if chosen is not None:
-            with chosen:
-                self._follow(Choice.unpack(chosen.octets()).camera)
+        if (choice := self._selected.latest()) is not None:
+            self._follow(choice.camera)
         for camera in self._cameras:
             while (coded := camera.poll(self._now_ns())) is not None:
                 recorder.handle_camera(camera.source, *coded, self._now_ns())

@@ -30,8 +30,8 @@ from pipelines.recording.rows import Script, replay_topology
 from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
-from telepresence.link.gateway import Backlog
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 #: From capture to encoder, and to sender: the medians of live sessions, as in a simulation.
@@ -90,17 +90,17 @@ def run_video_replay(
     context.on_flush(lambda: publish_sender(context.probe, sender, linked.gain))
     script = start.script(context, units, _PICTURE_NS)
     with context.open_bus() as bus:
-        sent, backlogs = SentTopic(bus, row.name, row.sent_topic), bus.reader(row.backlog_topic)
-        waiter = bus.waiter([backlogs], [feedback.fileno()])
+        sent, backlogs = (
+            SentTopic(bus, row.name, row.sent_topic),
+            TopicReader(bus, row.backlog_topic),
+        )
+        waiter = bus.waiter([backlogs.open()], [feedback.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             waiter.wait(_wait_ns(now_ns, script.poll_timeout(), sender.poll_timeout()))
-            told = backlogs.latest()
-            if told is not None:
-                with told:
-                    backlog = Backlog.unpack(told.octets())
-                    linked.handle_backlog(backlog, told.stamp.capture_ns, clock.now_ns())
+            if (backlog := backlogs.latest()) is not None:
+                linked.handle_backlog(backlog, backlogs.newest_ns, clock.now_ns())
             while (datagram := receive(feedback)) is not None:
                 sender.handle_feedback(datagram, clock.now_ns())
             while (due := script.poll_due(clock.now_ns())) is not None:

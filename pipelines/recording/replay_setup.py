@@ -15,7 +15,7 @@ from pipelines.recording.recorded_session import (
     cap_needed_bps,
     read_session,
 )
-from pipelines.session.options import setup_changes
+from pipelines.session.options import setup_changes, stream_options
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.table import (
     GROUND_MIC,
@@ -64,7 +64,7 @@ def _load_recording(path: Path) -> RecordedSession:
 def _replay_setup(
     args: argparse.Namespace, path: Path, session: RecordedSession, speed: float
 ) -> Setup:
-    changes = setup_changes(args)
+    changes = setup_changes(stream_options(args))
     if args.setup is not None:
         start_s = _start_s(args.radio_start, session, changes)
         setup = load_setup(args.setup, changes=changes, radio_start_s=start_s)

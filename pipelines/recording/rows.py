@@ -4,29 +4,27 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
+from pipelines.link.link_metrics import gateway_topic
+from pipelines.media.following import SELECTED_TOPIC
+from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, MISSION_LEDS_TOPIC
 from pipelines.session.topology import (
-    JOYSTICK_TRACE_TOPIC,
-    MISSION_GROUND_TOPIC,
-    MISSION_LEDS_TOPIC,
     RECORDER,
-    ROBOT_TRACE_TOPIC,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
     RTC_VIDEO_TOPIC,
-    SELECTED_TOPIC,
     Kind,
     ProcessRow,
     Segment,
     Stage,
     Topology,
-    gateway_topic,
     packet_topics,
 )
 from pipelines.session.topology.rows import RECORDER_PRIORITY, VideoRow
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topology.topics import AnyTopic
 
 
-def shown_topics(session: Topology) -> tuple[Topic, ...]:
+def shown_topics(session: Topology) -> tuple[AnyTopic, ...]:
     """The topics from which the channels of a session come, but for frames of the link."""
     return (
         ROBOT_TRACE_TOPIC,
@@ -135,8 +133,8 @@ def _scripted(
     process: ProcessRow,
     script: Script,
     *,
-    reads: tuple[Topic, ...] = (),
-    writes: tuple[Topic, ...] = (),
+    reads: tuple[AnyTopic, ...] = (),
+    writes: tuple[AnyTopic, ...] = (),
 ) -> ProcessRow:
     return replace(
         process,

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +14,6 @@ from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, rows_of
-from pipelines.link.link_metrics import unpack_frames
 from pipelines.recording import recorded_messages as messages
 from pipelines.recording.channels import (
     EVENTS,
@@ -26,7 +24,6 @@ from pipelines.recording.channels import (
     Content,
     Source,
 )
-from pipelines.session.mission_messages import ExperimentShown, LedsShown, unpack
 from telepresence.link.link_metrics import GatewayMetrics
 
 #: A contact has ended when the tip was free for this long; shorter breaks are the tip's bounces.
@@ -121,7 +118,7 @@ class SessionMessages:
             )
             told = [messages.pack(packet)]
         elif source.content is Content.GATEWAY:
-            found = msgspec.msgpack.decode(octets, type=GatewayMetrics)
+            found: GatewayMetrics = source.topic.unpack(octets)
             state = found.supervision
             sent = messages.LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
             received = messages.LinkReceived.of(found.receive, state, session_ns=at_ns)
@@ -130,16 +127,12 @@ class SessionMessages:
             if self._shown.get(source.topic) == octets:
                 return []
             self._shown[source.topic] = octets
-            if source.content is Content.EXPERIMENT:
-                told = [
-                    messages.pack(
-                        messages.RecordedExperiment.of(unpack(ExperimentShown, octets), at_ns)
-                    )
-                ]
-            else:
-                told = [messages.pack(messages.RecordedLeds.of(unpack(LedsShown, octets), at_ns))]
+            shown = source.topic.unpack(octets)
+            experiment = source.content is Content.EXPERIMENT
+            kind = messages.RecordedExperiment if experiment else messages.RecordedLeds
+            told = [messages.pack(kind.of(shown, at_ns))]
         elif source.content is Content.FRAMES:
-            frames = unpack_frames(octets)
+            frames = source.topic.unpack(octets)
             if not frames:
                 return []
             times, data = zip(*frames, strict=True)

@@ -16,12 +16,7 @@ from kontur_av.errors import ConfigError
 from pipelines.report.model import SessionReport, to_json
 from pipelines.report.result import Headline, as_json
 from pipelines.report.summary import print_summary
-from pipelines.session.command_process import (
-    OwnOutput,
-    discard_output,
-    output_that_may_fail,
-    plain,
-)
+from pipelines.session.command_process import OwnOutput, discard_output, output_that_may_fail, plain
 
 #: Linux follows as many links.
 _LINKS = 40

@@ -14,9 +14,9 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.media import I420, CaptureStamp, VideoCodec
 from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.hand.hand_topics import unpack_status
+from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptic_trace import rows_of
-from pipelines.mission.tmtc_messages import K2aciArrived, unpack_news
+from pipelines.mission.tmtc_messages import K2aciArrived, TmtcNews
 from pipelines.recording.own_pictures import MOST_HELD_OCTETS, KeyPictureWanted, StreamStart
 from pipelines.ros2.publications import (
     CHAT_TOPIC,
@@ -199,12 +199,11 @@ class OutgoingMessages:
         elif source.content is RosContent.HAPTICS:
             yield from self._haptics(source, octets, chosen)
         elif source.content is RosContent.JOYSTICK:
-            status = unpack_status(octets)
-            if status is not None:
-                self._halves = {"x": status.half_width_m, "y": status.half_height_m}
-                self._halves |= {axis.name: axis.half_range for axis in status.axes}
+            status: JoystickStatus = source.topic.unpack(octets)
+            self._halves = {"x": status.half_width_m, "y": status.half_height_m}
+            self._halves |= {axis.name: axis.half_range for axis in status.axes}
         else:
-            news = unpack_news(octets)
+            news: TmtcNews = source.topic.unpack(octets)
             if isinstance(news, K2aciArrived) and news.kind == Chat.__name__:
                 line = f"{news.fields['sender']}: {news.fields['text']}"
                 yield Outbound(CHAT_TOPIC, self._messages.text(line))

@@ -18,7 +18,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.metrics import Newest
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import INPUT_OCTETS, pack_input
+from pipelines.hand.hand_topics import ROS2_HAND_TOPIC
 from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.ros2.hand import Ros2Hand
 from pipelines.ros2.outgoing import Outbound, OutgoingMessages
@@ -43,7 +43,8 @@ from pipelines.ros2.publications import (
 from pipelines.ros2.ros_messages import MOST_OCTETS, RosMessages
 from pipelines.session.process import Context
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import ROS2, ROS2_HAND_TOPIC, Topology
+from pipelines.session.topic_ends import TopicWriter
+from pipelines.session.topology import ROS2, Topology
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,7 +228,7 @@ class _Ros2Process:
         if ROS2_HAND_TOPIC not in topology.process(ROS2).writes:
             return
         self._hand = Ros2Hand(self._context.setup.more_axes)
-        self._writer = self._bus.writer(ROS2_HAND_TOPIC, max_octets=INPUT_OCTETS, wake=False)
+        self._writer = TopicWriter(self._bus, ROS2_HAND_TOPIC)
         self._subscribers = {}
         for number, publication in enumerate(
             (JOY_TOPIC, VELOCITY_TOPIC), 1 + len(self._publishers)
@@ -330,8 +331,7 @@ class _Ros2Process:
                     self._malformed += 1
         told = hand.poll_transmit(now_ns)
         if told is not None:
-            stamp = CaptureStamp(told.received_ns, told.sequence, "ros2")
-            self._writer.publish_octets(pack_input(told), stamp)
+            self._writer.publish(told, told.received_ns)
 
     def _take(
         self, hand: Ros2Hand, publication: Publication, sample: zenoh.Sample, now_ns: int

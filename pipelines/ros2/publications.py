@@ -22,16 +22,11 @@ from hashlib import blake2b
 from typing import Final, NamedTuple, Self
 
 from kontur_av.errors import ProtocolError
-from pipelines.session.topology import (
-    JOYSTICK_STATE_TOPIC,
-    JOYSTICK_TRACE_TOPIC,
-    ROBOT_TRACE_TOPIC,
-    TMTC_TOPICS,
-    Kind,
-    Segment,
-    Topology,
-)
-from pipelines.session.topology.topics import Topic
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
+from pipelines.mission.tmtc_messages import TMTC_TOPICS
+from pipelines.session.topology import Kind, Segment, Topology
+from pipelines.session.topology.topics import AnyTopic
 
 _GID_OCTETS: Final = 16
 _ATTACHMENT = struct.Struct(f"<qqB{_GID_OCTETS}s")
@@ -183,7 +178,7 @@ class RosSource:
     a subscriber.
     """
 
-    topic: Topic
+    topic: AnyTopic
     content: RosContent
     name: str
     publications: tuple[Publication, ...] = ()

@@ -17,16 +17,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import VideoCodec
 from pipelines.hand.haptic_trace import DEAD_MAN, axis_columns
 from pipelines.ros2.hand import DEAD_MAN_BUTTON, JoyMessage, Velocity
-from pipelines.ros2.publications import (
-    DIAGNOSTICS,
-    IMAGE,
-    JOY,
-    POSE,
-    TEXT,
-    TWIST,
-    VIDEO,
-    WRENCH,
-)
+from pipelines.ros2.publications import DIAGNOSTICS, IMAGE, JOY, POSE, TEXT, TWIST, VIDEO, WRENCH
 from telepresence.haptics.axes import AXIS_NAMES
 
 #: Foxglove's schema of a coded picture, which no release of ROS 2 brings along.

@@ -1,15 +1,8 @@
 """The process that is a node of a ROS 2 system."""
 
+from pipelines.hand.hand_topics import ROS2_HAND_TOPIC
 from pipelines.ros2.publications import sources_of
-from pipelines.session.topology import (
-    ROS2,
-    ROS2_HAND_TOPIC,
-    WATCHER_PRIORITY,
-    ProcessRow,
-    Stage,
-    Topology,
-    given,
-)
+from pipelines.session.topology import ROS2, WATCHER_PRIORITY, ProcessRow, Stage, Topology, given
 from telepresence.haptics.specs import ROS2_HAND
 
 

@@ -1,6 +1,6 @@
 """What a seat's pages are sent and may send, derived from the table of the session."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -8,24 +8,26 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
 from pipelines.media.following import board_view
 from pipelines.media.taking_over import preview_size
 from pipelines.seats import texts
 from pipelines.seats.mission_client import application_texts
 from pipelines.session.access import Role
-from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus, unpack
-from pipelines.session.session_metrics import gathered
-from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import (
-    JOYSTICK_TRACE_TOPIC,
+from pipelines.session.mission_messages import (
     MISSION_GROUND_TOPIC,
     MISSION_PANEL_TOPIC,
     ROBOT_STATUS_TOPIC,
-    ROBOT_TRACE_TOPIC,
+    ExperimentShown,
+    PanelShown,
+    RobotStatus,
+)
+from pipelines.session.session_metrics import gathered
+from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.topology import (
     RTC_CODED_CAMERA_TOPIC,
     RTC_DECODED_CAMERA_TOPIC,
     RTC_VOICE_TOPIC,
-    TRAINER_TOPIC,
     Direction,
     Segment,
     Topology,
@@ -33,10 +35,12 @@ from pipelines.session.topology import (
     partner_camera,
     partner_voice,
 )
-from pipelines.session.training import CAMERA, EXERCISES, Exercises, TrainerReach
+from pipelines.session.topology.topics import AnyTopic, Topic
+from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_controller import RobotControllerModel
+from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
 from telepresence.tasks.definitions import Catalogue
@@ -78,19 +82,13 @@ class SeatInput:
 
 
 Shown = PanelShown | ExperimentShown | RobotStatus | Exercises | texts.UpkeepText
-Unpack = Callable[[bytes], Shown]
-#: Of both ends: what a trainer's exercises are.
-_EXERCISES: tuple[str, Unpack] = (TRAINER_TOPIC, Exercises.unpack)
 #: By end: kind of text, the topic of what the processes of a mission show.
-_SHOWN: Mapping[Segment, Mapping[str, tuple[str, Unpack]]] = {
-    Segment.SPACE: {
-        "panel": (MISSION_PANEL_TOPIC, partial(unpack, PanelShown)),
-        "exercises": _EXERCISES,
-    },
+_SHOWN: Mapping[Segment, Mapping[str, AnyTopic]] = {
+    Segment.SPACE: {"panel": MISSION_PANEL_TOPIC, "exercises": TRAINER_TOPIC},
     Segment.GROUND: {
-        "experiment": (MISSION_GROUND_TOPIC, partial(unpack, ExperimentShown)),
-        "robot": (ROBOT_STATUS_TOPIC, partial(unpack, RobotStatus)),
-        "exercises": _EXERCISES,
+        "experiment": MISSION_GROUND_TOPIC,
+        "robot": ROBOT_STATUS_TOPIC,
+        "exercises": TRAINER_TOPIC,
     },
 }
 
@@ -109,11 +107,11 @@ class SeatPlan:
     previews: Mapping[int, str]
     inputs: tuple[SeatInput, ...]
     traces: Mapping[int, str]
-    backlog_topic: str
+    backlog_topic: Topic[Backlog]
     text: texts.SeatText
     dictionary: Dictionary
     orders: bool
-    shown: Mapping[str, tuple[str, Unpack]] = field(default_factory=dict)
+    shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
     @property
     def sizes(self) -> dict[int, tuple[int, int] | None]:
@@ -180,7 +178,7 @@ def seat_plan(
         traces={1: ROBOT_TRACE_TOPIC} if ground else {0: JOYSTICK_TRACE_TOPIC},
         backlog_topic=topology.link(segment.transmits).backlog_topic,
         dictionary=dictionary,
-        shown={kind: one for kind, one in _SHOWN[segment].items() if one[0] in written},
+        shown={kind: topic for kind, topic in _SHOWN[segment].items() if topic in written},
         orders=ground or len(topology.segments) > 1,
         text=text,
     )

@@ -2,35 +2,34 @@
 
 from collections.abc import Iterable
 
-from pipelines.session.topology import (
-    HAND_INPUT_TOPIC,
-    HAND_REQUEST_TOPIC,
-    JOYSTICK_STATE_TOPIC,
-    JOYSTICK_TRACE_TOPIC,
+from pipelines.hand.hand_topics import HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC, JOYSTICK_STATE_TOPIC
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
+from pipelines.media.following import SELECTED_TOPIC
+from pipelines.mission.tmtc_messages import TMTC_TOPICS
+from pipelines.session.mission_messages import (
     MISSION_GROUND_TOPIC,
     MISSION_PANEL_TOPIC,
-    PAGES,
     ROBOT_STATUS_TOPIC,
-    ROBOT_TRACE_TOPIC,
+)
+from pipelines.session.topology import (
+    PAGES,
     RTC_CODED_CAMERA_TOPIC,
     RTC_DECODED_CAMERA_TOPIC,
     RTC_VOICE_TOPIC,
-    SELECTED_TOPIC,
-    TMTC_TOPICS,
-    TRAINER_TOPIC,
     Kind,
     ProcessRow,
     Segment,
     Stage,
-    Topic,
     Topology,
     VideoRow,
 )
+from pipelines.session.topology.topics import AnyTopic
+from pipelines.session.training import TRAINER_TOPIC
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
     """One page server a segment: what it shows, and what its people tell, film and say."""
-    shown: dict[Segment, tuple[Topic, ...]] = {
+    shown: dict[Segment, tuple[AnyTopic, ...]] = {
         Segment.GROUND: (
             MISSION_GROUND_TOPIC,
             ROBOT_STATUS_TOPIC,
@@ -43,7 +42,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
         ),
         Segment.SPACE: (MISSION_PANEL_TOPIC, JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC),
     }
-    told: dict[Segment, tuple[Topic, ...]] = {
+    told: dict[Segment, tuple[AnyTopic, ...]] = {
         Segment.GROUND: (),
         Segment.SPACE: (HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC),
     }
@@ -65,7 +64,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
     )
 
 
-def _received(session: Topology, segment: Segment) -> Iterable[Topic]:
+def _received(session: Topology, segment: Segment) -> Iterable[AnyTopic]:
     """What comes through the link to a segment, and what its own end says."""
     rows = [row for row in session.media_streams if row.direction.receiver is segment]
     for row in rows:
@@ -76,7 +75,7 @@ def _received(session: Topology, segment: Segment) -> Iterable[Topic]:
     yield TMTC_TOPICS[segment]
 
 
-def _own_cameras(session: Topology) -> Iterable[Topic]:
+def _own_cameras(session: Topology) -> Iterable[AnyTopic]:
     """What the ground sees of its own cameras: the picture as it is sent, and all of them small.
 
     The pictures themselves only for a page that joins a stream of which nothing is known.
@@ -87,7 +86,7 @@ def _own_cameras(session: Topology) -> Iterable[Topic]:
     yield from (session.input(name).preview_topic for name in video.inputs)
 
 
-def _taken_over(session: Topology, segment: Segment) -> tuple[Topic, ...]:
+def _taken_over(session: Topology, segment: Segment) -> tuple[AnyTopic, ...]:
     """What pages give in place of the inputs of their segment."""
     return tuple(
         row.page_topic

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
-from itertools import count
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,19 +18,17 @@ from kontur_av.media import I420, CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.hand.hand_topics import (
-    INPUT_OCTETS,
-    REQUEST_OCTETS,
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK_STATE_TOPIC,
     HandRequest,
-    pack_input,
-    pack_request,
-    unpack_status,
 )
-from pipelines.media.following import Choice
+from pipelines.media.following import SELECTED_TOPIC
 from pipelines.media.key_picture_maker import H264Copy, KeyPictureMaker
-from pipelines.mission.tmtc_messages import unpack_news
+from pipelines.mission.tmtc_messages import TMTC_TOPICS
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.holders import Given
-from pipelines.seats.plan import SeatStream, Unpack
+from pipelines.seats.plan import SeatStream, Shown
 from pipelines.seats.seat import PageRequest, Seat, StopAsked
 from pipelines.seats.texts import FetchRequest, RecordingRequest, Via
 from pipelines.seats.upkeep_watch import fetch
@@ -47,19 +44,13 @@ from pipelines.session.recording_requests import (
     StopRecording,
 )
 from pipelines.session.requests import ask_async
-from pipelines.session.serving_loop import Feed, ServingLoop, TopicState
+from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.session_switch import Order
-from pipelines.session.topology import (
-    HAND_INPUT_TOPIC,
-    HAND_REQUEST_TOPIC,
-    JOYSTICK_STATE_TOPIC,
-    SELECTED_TOPIC,
-    TMTC_TOPICS,
-    Segment,
-)
+from pipelines.session.topic_ends import TopicReader, TopicWriter
+from pipelines.session.topology import Segment
+from pipelines.session.topology.topics import AnyTopic
 from pipelines.session.training import TRAINER_SOCKET, TrainerAnswer, TrainerRequest
 from telepresence.haptics.device.page import PageInput
-from telepresence.link.gateway import Backlog
 
 #: Unread samples of a topic that are kept.
 _DEPTH = 8
@@ -170,7 +161,7 @@ class _Fed(NamedTuple):
 
 
 #: A topic that changes too often to wake for it; its newest sample is read at each look.
-_Looked = tuple[str, Callable[[bytes, int], None]]
+_Looked = tuple[AnyTopic, Callable[[Any, int], None]]
 
 
 class SeatTopics:
@@ -207,7 +198,9 @@ class SeatTopics:
         ]
         self._always = [feed for feed, one in zip(feeds, fed, strict=True) if one.always]
         self._live = [feed for feed, one in zip(feeds, fed, strict=True) if not one.always]
-        self._looked = [(TopicState(bus, topic), handle) for topic, handle in self._states()]
+        self._looked: list[tuple[TopicReader[Any], Callable[[Any, int], None]]] = [
+            (TopicReader(bus, topic, opened=False), handle) for topic, handle in self._states()
+        ]
 
     def _fed(self) -> Iterator[_Fed]:
         plan = self._seat.plan
@@ -228,14 +221,14 @@ class SeatTopics:
         plan, seat = self._seat.plan, self._seat
         yield (
             plan.backlog_topic,
-            lambda told, now_ns: seat.handle_signal(Backlog.unpack(told).peer_heard, now_ns),
+            lambda backlog, now_ns: seat.handle_signal(backlog.peer_heard, now_ns),
         )
-        for kind, (topic, unpack) in plan.shown.items():
-            yield topic, partial(self._shown, kind, unpack)
+        for kind, topic in plan.shown.items():
+            yield topic, partial(self._shown, kind)
         if plan.segment is Segment.GROUND:
             yield (
                 SELECTED_TOPIC,
-                lambda told, now_ns: seat.handle_camera(Choice.unpack(told).camera, now_ns),
+                lambda choice, now_ns: seat.handle_camera(choice.camera, now_ns),
             )
 
     def open(self) -> None:
@@ -245,7 +238,7 @@ class SeatTopics:
     def watch(self, watching: bool) -> None:
         """Open what pages are shown with the first of them, and close it with the last."""
         self._watched = watching
-        read: list[Feed | TopicState] = [*self._live, *(state for state, _ in self._looked)]
+        read: list[Feed | TopicReader[Any]] = [*self._live, *(state for state, _ in self._looked)]
         for feed in read:
             if watching:
                 feed.open()
@@ -307,15 +300,15 @@ class SeatTopics:
         self._seat.media.handle_preview(preview, lease.video().data, lease.stamp)
 
     def _news(self, lease: Lease) -> None:
-        if (news := unpack_news(lease.octets())) is not None:
-            self._seat.handle_news(news, self._now_ns())
+        news = TMTC_TOPICS[self._seat.plan.segment].unpack(lease.octets())
+        self._seat.handle_news(news, self._now_ns())
 
     def _status(self, lease: Lease) -> None:
-        if (status := unpack_status(lease.octets())) is not None:
-            self._seat.handle_status(status, self._now_ns())
+        status = JOYSTICK_STATE_TOPIC.unpack(lease.octets())
+        self._seat.handle_status(status, self._now_ns())
 
-    def _shown(self, kind: str, unpack: Unpack, told: bytes, now_ns: int) -> None:
-        self._seat.handle_shown(kind, unpack(told))
+    def _shown(self, kind: str, shown: Shown, _now_ns: int) -> None:
+        self._seat.handle_shown(kind, shown)
 
 
 class SeatDeeds:
@@ -331,12 +324,11 @@ class SeatDeeds:
     ) -> None:
         self._seat, self._context, self._serving, self._settle = seat, context, serving, settle
         self._now_ns = context.clock.now_ns
-        self._numbers = count()
         self._orders = KeptOrders(context.session)
         self._hand = self._commands = None
         if seat.plan.segment is Segment.SPACE:
-            self._hand = bus.writer(HAND_INPUT_TOPIC, max_octets=INPUT_OCTETS, wake=False)
-            self._commands = bus.writer(HAND_REQUEST_TOPIC, max_octets=REQUEST_OCTETS, wake=False)
+            self._hand = TopicWriter(bus, HAND_INPUT_TOPIC)
+            self._commands = TopicWriter(bus, HAND_REQUEST_TOPIC)
         self._own = {
             each.index: bus.writer(
                 each.topic,
@@ -350,12 +342,10 @@ class SeatDeeds:
             match event:
                 case PageInput():
                     if self._hand is not None:
-                        stamp = CaptureStamp(event.received_ns, event.sequence, "page")
-                        self._hand.publish_octets(pack_input(event), stamp)
+                        self._hand.publish(event, event.received_ns)
                 case HandRequest():
                     if self._commands is not None:
-                        stamp = CaptureStamp(self._now_ns(), next(self._numbers), "page")
-                        self._commands.publish_octets(pack_request(event), stamp)
+                        self._commands.publish(event, self._now_ns())
                 case Order():
                     self._context.order(event, self._now_ns())
                 case StopAsked():

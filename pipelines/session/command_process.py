@@ -8,7 +8,6 @@ import select
 import signal
 import subprocess
 import sys
-from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -128,7 +127,7 @@ def prepare_output() -> None:
             stream.write = OwnOutput(stream).write_words
 
 
-def keep_words_apart(args: Namespace) -> None:
+def keep_words_apart(args: object) -> None:
     """Print words on standard error if an option names standard output for data."""
     out = os.fstat(1)
     for value in vars(args).values():

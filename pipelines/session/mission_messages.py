@@ -1,27 +1,15 @@
-"""What the processes of a mission tell each other through topics.
+"""What the processes of a mission tell each other through topics, which are declared at the end."""
 
-| topic | writer | content |
-|---|---|---|
-| `robot/order` | tasks | `RobotOrder`: the kernel's newest orders to the robot controller |
-| `mission/camera` | tasks | `CameraRequest`: the camera that a task selects |
-| `robot/command` | selector | `RobotCommand`: a telecommand to the robot controller |
-| `robot/status` | robot | `RobotStatus`: what the robot controller does |
-| `mission/panel` | panel | `PanelShown`: what the mission control panel shows |
-| `mission/ground` | tasks | `ExperimentShown`: where the experiment is |
-| `mission/leds` | leds | `LedsShown`: what the LED panel shows |
-"""
-
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 import msgspec
 
-from kontur_av.errors import ProtocolError, refused
 from pipelines.session.session_metrics import gathered
-from telepresence.malformed import MALFORMED
+from pipelines.session.topology.topics import Topic
 from telepresence.tasks.definitions import ControlMode, Pattern
 from telepresence.tasks.panel_picture import PanelPicture
+from telepresence.world.state import WorldState
 
-MISSION_OCTETS = 16 << 10
 OrderKind = Literal["power", "mode", "move", "reset"]
 _Octet = Annotated[int, msgspec.Meta(ge=0, le=255)]
 
@@ -184,27 +172,27 @@ class LedsShown(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
         return PanelPicture(self.pattern, self.leds, self.spot_m, self.colour)
 
 
-Message = (
-    CameraRequest
-    | RobotOrder
-    | RobotCommand
-    | RobotStatus
-    | PanelShown
-    | ExperimentShown
-    | LedsShown
+ROBOT_COMMAND_TOPIC = Topic[RobotCommand](
+    "robot/command", RobotCommand, "a telecommand to the robot controller"
 )
-#: One of them.
-MessageT = TypeVar("MessageT", bound=Message)
-
-
-def pack(message: Message) -> bytes:
-    """Return at most `MISSION_OCTETS` octets."""
-    return msgspec.msgpack.encode(message)
-
-
-def unpack(kind: type[MessageT], octets: bytes) -> MessageT:
-    """Return what `pack` packed; ProtocolError for anything else."""
-    if len(octets) > MISSION_OCTETS:
-        raise ProtocolError(f"{kind.__name__} has {len(octets)} octets: at most {MISSION_OCTETS}")
-    with refused(kind.__name__, *MALFORMED, raising=ProtocolError):
-        return msgspec.msgpack.decode(octets, type=kind)
+ROBOT_ORDER_TOPIC = Topic[RobotOrder](
+    "robot/order", RobotOrder, "the kernel's order to the robot controller"
+)
+ROBOT_STATUS_TOPIC = Topic[RobotStatus](
+    "robot/status", RobotStatus, "power, mode and fault of the robot, answer to a command"
+)
+MISSION_CAMERA_TOPIC = Topic[CameraRequest](
+    "mission/camera", CameraRequest, "the camera that a task selects"
+)
+MISSION_GROUND_TOPIC = Topic[ExperimentShown](
+    "mission/ground", ExperimentShown, "phase, task, steps and runs of the experiment"
+)
+MISSION_PANEL_TOPIC = Topic[PanelShown](
+    "mission/panel", PanelShown, "what the mission control panel shows"
+)
+MISSION_LEDS_TOPIC = Topic[LedsShown]("mission/leds", LedsShown, "what the LED panel shows")
+#: The state of the robot, from which the built-in scenes draw, and of the arm of a partner.
+ROBOT_TOPIC = Topic[WorldState](
+    "robot/state", WorldState, "instant, position of the tip, force and contact"
+)
+SECOND_ROBOT_TOPIC = Topic[WorldState]("robot/second", WorldState, "state of the second arm")

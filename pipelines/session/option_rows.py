@@ -31,7 +31,7 @@ _TYPES: dict[str, Callable[[str], Any]] = {
     "port": port,
 }
 #: Rows that several commands have, by their first names.
-_COMMON = {
+COMMON_ROWS = {
     row.split()[0].rstrip(","): row
     for row in (
         "--seconds S <float>  end after S seconds (default: on Ctrl-C)",
@@ -57,7 +57,7 @@ def add_options(parser: argparse._ActionsContainer, *rows: str) -> None:
     alone stands for a common row.
     """
     for row in rows:
-        head, _, text = _COMMON.get(row, row).partition("  ")
+        head, _, text = COMMON_ROWS.get(row, row).partition("  ")
         head, bracket, kind = head.partition(" <")
         words = head.replace(", -", " -").split(" ")
         option = row.startswith("-")
@@ -102,8 +102,8 @@ def add_actions(
     return parsers
 
 
-def refuse_options(args: argparse.Namespace, why: str, *options: str) -> None:
+def refuse_options(args: object, why: str, *options: str) -> None:
     """Raise ConfigError for the first of these options that is given. why: follows its name."""
     for option in options:
-        if getattr(args, option) not in (None, False, []):
+        if getattr(args, option) not in (None, False, [], ()):
             raise ConfigError(f"--{option.replace('_', '-')}{why}")

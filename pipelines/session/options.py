@@ -1,113 +1,388 @@
-"""The options of a session that several commands share."""
+# ruff: noqa: RUF009 (each default is a field)
+"""The options of a session: each is declared once, as a field of `StreamOptions`.
+
+Arguments of the commands, keys of site files, `stream --explain` and the documents derive from it.
+"""
 
 import argparse
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import Field, dataclass, field, fields
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from kontur_av.errors import ConfigError
-from pipelines.session.option_rows import add_options
+from pipelines.session.option_rows import COMMON_ROWS, add_options
 from pipelines.session.setup.former_names import INPUTS, current
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.setup.table import DEADBANDS, HAND_MODES, NO_RADIO, Setup
+from pipelines.session.setup.table import NO_RADIO, Deadband, HandMode, Setup
+from telepresence.haptics.robot_device import SIMULATED_ROBOT
+from telepresence.haptics.specs import SIMULATED
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
 
+#: The ports of the first page and of a partner, without an option.
+PAGE_PORT, RTC_PORT = "8270", "8290"
+#: What files may take at most, by the end that sends them, without an option.
+FILES_BPS = {Segment.GROUND: 8_000, Segment.SPACE: 200_000}
+FILES_KBPS = ",".join(f"{bps / 1000:g}" for bps in FILES_BPS.values())
 
-def add_setup_argument(
-    parser: argparse.ArgumentParser, *, default: str | None = None, needed: bool = True
-) -> None:
-    """`--setup`, which must be given where it has no default; needed: False if it need not be."""
-    parser.add_argument(
-        "--setup",
-        required=needed and default is None,
-        default=default,
-        metavar="NAME",
-        help=f"spacejustin, taskboard or FILE.toml{_said(default)}",
+
+GROUPS = ("session", "inputs", "robot", "radio", "pages", "outlets")
+
+
+def _group(group: str, *, first: bool) -> Callable[..., Any]:
+    """Return what declares an option of this group. first: the short help has it."""
+
+    def declare(row: str = "", default: object = None, **more: object) -> Any:
+        """A field of `StreamOptions`. row: `METAVAR  HELP`; of flags and choices only HELP.
+
+        Without a row it is the common one of that name. more, as metadata: `short`, a second name;
+        `bare`, the value of the option without one; `off`, the help of `--no-NAME`; `rivals`, the
+        options that it replaces, and that cannot be given with it; `like`, its values in a file.
+        """
+        default = () if row.startswith("NAME=") else default
+        return field(default=default, metadata={"group": group, "row": row, "first": first, **more})
+
+    return declare
+
+
+_session, _inputs, _robot, _radio, _pages, _outlets = (
+    _group(group, first=True) for group in GROUPS
+)
+_session_more, _, _robot_more, _radio_more, _pages_more, _outlets_more = (
+    _group(group, first=False) for group in GROUPS
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamOptions:
+    """What the user asks of a session, by command line and site file."""
+
+    setup: str | Mapping[str, Any] | None = _session(
+        "NAME  spacejustin, taskboard or FILE.toml", like="a name or a table [setup]"
+    )
+    seconds: float | None = _session()
+    record: Path | None = _session("FILE.mcap  record the session")
+    report: Path | None = _session()
+    tasks: tuple[Path, ...] | None = _session(
+        "FILE.xml  have tasks for people; with files, further ones", bare=()
+    )
+    quiet: bool = _session("", False, short="-q", rivals=("verbose",))
+    overwrite: bool = _session_more("replace a recording of that name", False)
+    link_frames: bool = _session_more("record every frame of the radio link, too", False)
+    part_seconds: float = _session_more(
+        "S  begin a new part of the recording after S seconds (default 600)", 600.0
+    )
+    part_mb: float = _session_more("M  or after M MB (default 256)", 256.0)
+    snapshots: Path | None = _session_more("DIR  keep what is shown as PNG")
+    plan: Path | None = _session_more(
+        "PLAN.toml  select the tasks of a plan; with a simulated joystick a simulated cosmonaut "
+        "does them"
+    )
+    leds: str | None = _session_more(
+        "HOST:PORT  of an LED panel that takes the place of the built-in"
+    )
+    runs: Path | None = _session_more("DIR  record each run of a task into a file there")
+    telemetry: tuple[str, ...] = _session_more(
+        "SPEC  your component in telemetry: module:Class, at both ends; repeatable", ()
+    )
+    trainer: bool = _session_more(
+        "heed `kontur-av trainer`; with --end space, the radio of both directions is here", False
+    )
+    base_port: int | None = _session_more()
+    verbose: bool = _session_more("show each process' CPU", False, short="-v", rivals=("quiet",))
+
+    source: tuple[str, ...] = _inputs(
+        "NAME=SPEC  what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, "
+        "v4l2:DEVICE, alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a "
+        "program; repeatable"
     )
 
-
-def add_source_argument(parser: argparse.ArgumentParser, kinds: str) -> None:
-    """`--source`. kinds: what a SPEC may be."""
-    add_options(parser, f"--source NAME=SPEC <*>  what an input captures: {kinds}; repeatable")
-
-
-def add_radio_argument(parser: argparse.ArgumentParser, *, default: str | None = None) -> None:
-    parser.add_argument(
-        "--radio",
-        default=default,
-        metavar="PROFILE",
-        help=f"{', '.join(RADIOS)} or FILE.toml{_said(default)}",
+    robot: str = _robot(
+        "SPEC  sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
+        SIMULATED_ROBOT,
+    )
+    joystick: str = _robot(
+        "SPEC  sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
+        "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
+        "sim); see `kontur-av joystick list`",
+        SIMULATED,
+    )
+    second_robot: str = _robot_more("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT)
+    hand: HandMode | None = _robot_more(
+        "what the hand feels: the robot's delayed force (direct, the default), the wall that the "
+        "robot's side has estimated, rendered at the joystick (mediated), or that wall and all "
+        "other force directly (auto)"
+    )
+    deadband: Deadband | None = _robot_more(
+        "leave out haptic samples that nobody would miss; the uplink video gets their room, as a "
+        "higher rate (picture, the default) or a lower delay (latency)",
+        bare="picture",
     )
 
-
-def _said(default: str | None) -> str:
-    return "" if default is None else f" (default {default})"
-
-
-def add_radio_arguments(parser: argparse.ArgumentParser, *, delay: bool = True) -> None:
-    """`--radio`, `--radio-start`, `--seed` and, with `delay`, `--radio-delay-ms`."""
-    add_radio_argument(parser)
-    add_options(
-        parser,
-        "--radio-start S <float>  begin S seconds after a pass's acquisition of signal (negative: "
-        "before it)",
+    radio: str | None = _radio(
+        f"PROFILE  {', '.join(RADIOS)} or FILE.toml", rivals=("radio_delay_ms",)
     )
-    if delay:
-        add_options(parser, "--radio-delay-ms D <float>  a cable with a delay one way")
-    add_options(parser, "--seed N <int=0>  seed of the radio's random losses")
+    end: Literal["ground", "space"] | None = _radio(
+        "run this end alone; the other runs on another machine"
+    )
+    listen: str | None = _radio(
+        "ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
+        rivals=("peer",),
+    )
+    peer: str | None = _radio(
+        "HOST:PORT  with --end: call the other end, which listens there", rivals=("listen",)
+    )
+    radio_start: float | None = _radio_more(
+        "S  begin S seconds after a pass's acquisition of signal (negative: before it)"
+    )
+    radio_delay_ms: float | None = _radio_more("D  a cable with a delay one way", rivals=("radio",))
+    seed: int = _radio_more("N  seed of the radio's random losses", 0)
+    key: Path | None = _radio_more()
+    identity: str | None = _radio_more(
+        "ID  with --end: the other machine's identity, if several are trusted"
+    )
+    insecure: bool = _radio_more(
+        "with --end: neither encrypt nor authenticate; on a private network only", False
+    )
+    bypass: bool = _radio_more(
+        "for tests, with both ends here: join the programs directly, past gateways and radio", False
+    )
+
+    page: str | bool | None = _pages(
+        f"[HOST:]PORT  where the browser pages are served (default 127.0.0.1:{PAGE_PORT}, or the "
+        "next free ports); TLS beyond loopback",
+        off="serve no browser pages",
+    )
+    open: bool = _pages("open the first page in a browser", False)
+    page_cert: Path | None = _pages_more(
+        "FILE  PEM file with certificate and key for the pages (default: made for the session)"
+    )
+    rtc: str | None = _pages_more(
+        "[HOST:]PORT  serve a partner across the Internet by WebRTC: it sees and hears both "
+        f"sides, and is seen and heard at the ground (default 127.0.0.1:{RTC_PORT}); TLS beyond "
+        "loopback",
+        bare=RTC_PORT,
+    )
+    rtc_token_file: Path | None = _pages_more(
+        "FILE  the partner's token to watch and to send (default: a new one for each session)"
+    )
+    rtc_hand_token_file: Path | None = _pages_more(
+        "FILE  its token to steer (default: a new one for each session)"
+    )
+    ice_server: str | None = _pages_more(
+        "URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media "
+        "server names, if there is one)"
+    )
+    turn_secret_file: Path | None = _pages_more(
+        "FILE  the secret shared with a TURN server, for credentials of one hour (coturn's "
+        "use-auth-secret)"
+    )
+    turn_user: str | None = _pages_more("USER  a lasting user name of the server")
+    turn_password_file: Path | None = _pages_more("FILE  with --turn-user")
+    ice_relay_only: bool = _pages_more(
+        "go through the TURN server only, and tell no address of this machine", False
+    )
+
+    metrics: str | None = _outlets(
+        "[HOST:]PORT  serve all figures to Prometheus at /metrics, and /healthz (default "
+        "127.0.0.1:9270); everyone who reaches the port can read them",
+        bare="9270",
+    )
+    foxglove: str | None = _outlets(
+        "[HOST:]PORT  serve the channels of a recording to Foxglove and Lichtblick (default "
+        "127.0.0.1:8765); TLS beyond loopback",
+        bare="8765",
+    )
+    ros2: str | None = _outlets(
+        "[HOST:]PORT  be a node of a ROS 2 system, by the router of rmw_zenoh at this place "
+        "(default 127.0.0.1:7447), in the domain of ROS_DOMAIN_ID; everyone who reaches the "
+        "router can see and hear the session",
+        bare="7447",
+    )
+    files: Path | None = _outlets(
+        "DIR  carry files: the ground's end has DIR/ground, space has DIR/space; see `kontur-av "
+        "file`"
+    )
+    packets: str | None = _outlets_more(
+        "tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and take its "
+        "telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at PORT + 1"
+    )
+    packets_allow: tuple[str, ...] = _outlets_more(
+        "WHAT  telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
+        "repeatable (default: questions alone)",
+        (),
+    )
+    frames: str | None = _outlets_more(
+        "udp:HOST:PORT  send copies of the radio link's frames to another ground system: the "
+        "downlink's to PORT, the uplink's to PORT + 1"
+    )
+    files_rate: str | None = _outlets_more(
+        "UP,DOWN  the most that files take, in kbit/s from the ground and from space (default "
+        f"{FILES_KBPS}); media always go first",
+        like="two numbers, like [8, 200]",
+    )
+    service: tuple[str, ...] = _outlets_more(
+        "NAME=PORT  lead TCP connections to PORT of this machine to the other end's service NAME; "
+        "with both ends here, from the ground to space; needs --files; repeatable"
+    )
+    service_allow: tuple[str, ...] = _outlets_more(
+        "NAME=HOST:PORT  let the other end connect to HOST:PORT as service NAME; repeatable"
+    )
+
+    def __post_init__(self) -> None:
+        for name, option in declared().items():
+            for rival in option.metadata.get("rivals", ()):
+                if is_given(self, name) and is_given(self, rival) and name < rival:
+                    raise ConfigError(f"{flag(name)} and {flag(rival)}: give one of them")
 
 
-def radio_change(name_or_file: str) -> dict[str, Any]:
+@cache
+def declared() -> Mapping[str, Field[Any]]:
+    return {option.name: option for option in fields(StreamOptions)}
+
+
+@cache
+def hint_of(name: str) -> tuple[Any, ...]:
+    """The types of an option's value, without None: a tuple's first."""
+    hint = get_type_hints(StreamOptions)[name]
+    kinds = (hint,) if get_origin(hint) in (None, tuple, Literal) else get_args(hint)
+    return tuple(kind for kind in kinds if kind is not type(None))
+
+
+def is_given(options: StreamOptions, name: str) -> bool:
+    value = getattr(options, name)
+    return not (value is None or value is False or value == ())
+
+
+def flag(name: str) -> str:
+    """`--radio-start` of `radio_start`."""
+    return f"--{name.replace('_', '-')}"
+
+
+class _Help(argparse.Action):
+    """Prints the help, without these actions."""
+
+    hidden: Iterable[argparse.Action] = ()
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        for action in self.hidden:
+            action.help = argparse.SUPPRESS
+        parser.print_help()
+        parser.exit()
+
+
+def add_grouped_options(parser: argparse.ArgumentParser) -> None:
+    """Add all options, `-h` for those that newcomers need, and `--help-all`.
+
+    They have no defaults here, because a site file may give a value. `--no-NAME` takes it back.
+    """
+    unset: Mapping[str, Any] = {"default": argparse.SUPPRESS}
+    short, _ = (
+        parser.add_argument(*names, action=_Help, nargs=0, help=text, **unset)
+        for names, text in (
+            (("-h", "--help"), "show the frequent options"),
+            (("--help-all",), "show all options"),
+        )
+    )
+    groups = {group: parser.add_argument_group(group) for group in GROUPS}
+    rare = []
+    for name, option in declared().items():
+        either = groups[option.metadata["group"]].add_mutually_exclusive_group()
+        action = _add(either, name, **unset)
+        off = option.metadata.get("off", argparse.SUPPRESS)
+        either.add_argument(flag(f"no_{name}"), dest=name, action="store_false", help=off, **unset)
+        if not option.metadata["first"]:
+            rare.append(action)
+    short.hidden = rare  # type: ignore[attr-defined]
+    parser.usage = "%(prog)s [FILE.toml] [OPTIONS]"
+
+
+def add_session_options(parser: argparse._ActionsContainer, *names: str) -> None:
+    """Add options by the names of their fields.
+
+    One that ends in `!` must be given; `NAME=VALUE` has another default.
+    """
+    for entry in names:
+        name, equals, default = entry.rstrip("!").partition("=")
+        action = _add(parser, name)
+        if equals:
+            action.default, action.help = default, f"{action.help} (default {default})"
+        action.required = entry.endswith("!")
+
+
+def _add(parser: argparse._ActionsContainer, name: str, **more: object) -> argparse.Action:
+    option = declared()[name]
+    short = [option.metadata["short"]] if "short" in option.metadata else []
+    return parser.add_argument(*short, flag(name), **{**_argument(option), **more})
+
+
+def row_of(option: Field[Any]) -> tuple[str, str]:
+    """What an option's value is called, or "", and its help."""
+    short = option.metadata.get("short", flag(option.name))
+    head, _, text = (option.metadata["row"] or COMMON_ROWS[short]).rpartition("  ")
+    return " ".join(word for word in head.split() if not word.startswith(("-", "<"))), text
+
+
+def _argument(option: Field[Any]) -> Mapping[str, Any]:
+    """What `add_argument` takes for an option, besides its names."""
+    metavar, text = row_of(option)
+    kind = hint_of(option.name)[0]
+    if kind is bool:
+        return {"action": "store_true", "help": text}
+    more: Mapping[str, Any] = {"help": text, "metavar": metavar or None, "default": option.default}
+    if get_origin(kind) is Literal:
+        more = {**more, "choices": get_args(kind)}
+    elif get_origin(kind) is not tuple:
+        more = {**more, "type": kind}
+    elif "bare" in option.metadata:
+        return {**more, "nargs": "*", "type": get_args(kind)[0]}
+    else:
+        return {**more, "action": "append", "default": []}
+    if "bare" in option.metadata:
+        more = {**more, "nargs": "?", "const": option.metadata["bare"]}
+    return more
+
+
+def stream_options(args: argparse.Namespace) -> StreamOptions:
+    """The options that a command has, all others as they are without; ConfigError."""
+    values: Mapping[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in vars(args).items()
+        if name in declared()
+    }
+    return StreamOptions(**values)
+
+
+def radio_change(name_or_file: str) -> Mapping[str, Any]:
     return {"radio": load_radio(name_or_file), "radio_delay_ms": 0.0}
 
 
-def radio_changes(args: argparse.Namespace) -> dict[str, Any]:
-    delay_ms = getattr(args, "radio_delay_ms", None)
-    if args.radio is not None and delay_ms is not None:
-        raise ConfigError("--radio and --radio-delay-ms: give one of them")
-    if args.radio is not None:
-        return radio_change(args.radio)
-    if delay_ms is not None:
-        return {"radio": NO_RADIO, "radio_delay_ms": delay_ms}
-    return {}
+def setup_changes(options: StreamOptions) -> Mapping[str, Any]:
+    """What the options change in the setup."""
+    changes = {name: getattr(options, name) for name in ("base_port", "deadband", "hand")}
+    if options.radio is not None:
+        changes |= radio_change(options.radio)
+    elif options.radio_delay_ms is not None:
+        changes |= {"radio": NO_RADIO, "radio_delay_ms": options.radio_delay_ms}
+    return {name: value for name, value in changes.items() if value is not None}
 
 
-def add_deadband_argument(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        f"--deadband <{'|'.join(DEADBANDS)}?=picture>  leave out haptic samples that nobody would "
-        "miss; the uplink video gets their room, as a higher rate (picture, the default) or a "
-        "lower delay (latency)",
-    )
-
-
-def add_hand_argument(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        f"--hand <{'|'.join(HAND_MODES)}>  what the hand feels: the robot's delayed force "
-        "(direct, the default), the wall that the robot's side has estimated, rendered at the "
-        "joystick (mediated), or that wall and all other force directly (auto)",
-    )
-
-
-def setup_changes(args: argparse.Namespace) -> dict[str, Any]:
-    """What the options of this module, those that the command has, change in its setup."""
-    given = {name: getattr(args, name, None) for name in ("base_port", "deadband", "hand")}
-    changes = radio_changes(args) if hasattr(args, "radio") else {}
-    return changes | {name: value for name, value in given.items() if value is not None}
-
-
-def asked_setup(args: argparse.Namespace) -> Setup:
-    """The setup of `--setup`, with what the options of this module change; ConfigError."""
+def asked_setup(options: StreamOptions) -> Setup:
+    """The setup, with what the options change in it; ConfigError."""
+    if options.setup is None:
+        raise ConfigError('--setup is missing: give it, or setup = "NAME" in a site file')
     return load_setup(
-        args.setup,
-        sources=_sources(getattr(args, "source", ())),
-        changes=setup_changes(args),
-        radio_start_s=args.radio_start,
+        options.setup,
+        sources=_sources(options.source),
+        changes=setup_changes(options),
+        radio_start_s=options.radio_start,
     )
 
 
-def _sources(options: Sequence[str]) -> Mapping[str, str]:
+def _sources(options: Iterable[str]) -> Mapping[str, str]:
     """NAME=SPEC options as a table; the last one of each name counts."""
     sources = {}
     for option in options:

@@ -1,6 +1,5 @@
 """Where a session's browser pages are served, and what is said of it. A shell."""
 
-import argparse
 import json
 import re
 import subprocess
@@ -18,7 +17,8 @@ from kontur_av.topics.session_files import session_root
 from pipelines.session.access import Role
 from pipelines.session.command_process import say
 from pipelines.session.datagrams import resolve
-from pipelines.session.option_rows import add_options, refuse_options
+from pipelines.session.option_rows import refuse_options
+from pipelines.session.options import PAGE_PORT, StreamOptions
 from pipelines.session.page_sockets import (
     PageHost,
     PageListener,
@@ -29,8 +29,6 @@ from pipelines.session.page_sockets import (
 )
 from pipelines.session.topology import PAGES, Segment
 
-#: Of the first page, without an option.
-_PORT = 8270
 #: The ground's page takes a later port than the operator's.
 _LAST_PORT = 65_534
 #: By the name that is printed: end, page and role of each of the mission's people.
@@ -69,7 +67,7 @@ class PageOptions(ServerOptions):
 def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]:
     """Return host and first port of `option`; ConfigError if `text` is not [HOST:]PORT."""
     if text is None:
-        return PageHost(), _PORT
+        return PageHost(), int(PAGE_PORT)
     match = re.fullmatch(r"(?:(\[[^\]]+\]|[^:]+):)?(\d{1,5})", text)
     if match is None or not 1 <= int(match[2]) <= _LAST_PORT:
         raise ConfigError(
@@ -192,37 +190,19 @@ def write_private(path: Path, text: str) -> None:
     unready.rename(path)
 
 
-def add_page_arguments(parser: argparse.ArgumentParser) -> None:
-    either = parser.add_mutually_exclusive_group()
-    add_options(
-        either,
-        f"--page [HOST:]PORT  where the browser pages are served (default 127.0.0.1:{_PORT}, or "
-        "the next free ports); TLS beyond loopback",
-        "--no-page  serve no browser pages",
-    )
-    add_options(
-        parser,
-        "--open  open the first page in a browser",
-        "--page-cert FILE <Path>  PEM file with certificate and key for the pages (default: made "
-        "for the session)",
-    )
-
-
-def bound_pages(
-    args: argparse.Namespace, segments: Sequence[Segment] = _SEATS
-) -> PageOptions | None:
+def bound_pages(args: StreamOptions, segments: Sequence[Segment] = _SEATS) -> PageOptions | None:
     """Bind what the options ask for; None without pages. segments: those that run here.
 
     Raises ConfigError for options that contradict each other, for an address that cannot be had,
     and for a certificate that no browser would take.
     """
-    if args.no_page:
+    if args.page is False:
         why = " needs the pages: leave --no-page out"
         refuse_options(args, why, "open", "page_cert")
         if args.joystick == "page":
             raise ConfigError(f"--joystick page{why}")
         return None
-    host, port = parse_page(args.page)
+    host, port = parse_page(args.page if isinstance(args.page, str) else None)
     if args.page_cert is not None:
         check_certificate(args.page_cert)
     seats = [segment.value for segment in _SEATS if segment in segments]

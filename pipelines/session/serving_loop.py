@@ -116,25 +116,3 @@ class Feed:
         while self._reader is not None and (lease := self._reader.next()) is not None:
             with lease:
                 self._handle(lease)
-
-
-class TopicState:
-    """A topic of which only the newest sample counts, read when asked."""
-
-    def __init__(self, bus: TopicBus, topic: str) -> None:
-        self._bus, self._topic = bus, topic
-        self._reader: Reader | None = None
-
-    def open(self) -> None:
-        """Read from now on; a second call does nothing."""
-        if self._reader is None:
-            self._reader = self._bus.reader(self._topic)
-
-    def close(self) -> None:
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None
-
-    def latest(self) -> bytes | None:
-        """Return the newest sample that was not read yet, or None."""
-        return None if self._reader is None else self._reader.latest_octets()

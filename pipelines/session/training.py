@@ -18,7 +18,7 @@ from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import DatedEvent, TrainerMetrics
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VideoStream
-from pipelines.session.topology import Topology
+from pipelines.session.topology import Topic, Topology
 
 #: The name of the trainer's socket.
 TRAINER_SOCKET = "trainer"
@@ -53,13 +53,10 @@ class Exercises(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     tasks_ns: int = 0
     cameras_ns: Mapping[str, int] = {}
 
-    def pack(self) -> bytes:
-        return msgspec.msgpack.encode(self)
 
-    @classmethod
-    def unpack(cls, octets: bytes) -> "Exercises":
-        """Return what `pack` packed. Only the session's own trainer writes the topic."""
-        return msgspec.msgpack.decode(octets, type=cls)
+TRAINER_TOPIC = Topic[Exercises](
+    "trainer/exercises", Exercises, "until when a trainer's exercises last"
+)
 
 
 class TrainerRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -15,14 +15,14 @@ import msgspec
 
 from kontur_av.closing import Closing
 from kontur_av.errors import refused
-from kontur_av.topics.bus import Reader, TopicBus
-from pipelines.link.link_metrics import unpack_link
+from kontur_av.topics.bus import TopicBus
+from pipelines.link.link_metrics import link_state_topic
 from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.kept_files import Note, add_note, read_now
-from pipelines.session.mission_messages import ExperimentShown, unpack
+from pipelines.session.mission_messages import MISSION_GROUND_TOPIC
 from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topology import MISSION_GROUND_TOPIC, link_state_topic
+from pipelines.session.topic_ends import TopicReader
 from pipelines.upkeep.sequence import (
     CONTACT,
     MILESTONE,
@@ -53,14 +53,13 @@ class SessionWatch(Closing):
         self._bus = TopicBus.join(name)
         topics = self._bus.topics()
         self._experiment = (
-            self._bus.reader(MISSION_GROUND_TOPIC) if MISSION_GROUND_TOPIC in topics else None
+            TopicReader(self._bus, MISSION_GROUND_TOPIC) if MISSION_GROUND_TOPIC in topics else None
         )
         self._links = [
-            self._bus.reader(topic)
+            TopicReader(self._bus, topic)
             for segment in Segment
             if (topic := link_state_topic(segment)) in topics
         ]
-        self._shown: ExperimentShown | None = None
         self._signal = False
         now = read_now(name)
         #: The newest event that was announced.
@@ -71,9 +70,8 @@ class SessionWatch(Closing):
 
     def contact(self) -> bool:
         for reader in self._links:
-            octets = _newest(reader, wait=False)
-            if octets is not None:
-                self._signal = bool(unpack_link(octets).get("signal"))
+            if (values := reader.latest()) is not None:
+                self._signal = bool(values.get("signal"))
         return self._signal
 
     def experiment(self) -> str:
@@ -83,11 +81,12 @@ class SessionWatch(Closing):
         """
         if not self.runs():
             return ""
-        if self._experiment is not None:
-            octets = _newest(self._experiment, wait=self._shown is None)
-            if octets is not None:
-                self._shown = unpack(ExperimentShown, octets)
-        shown = self._shown
+        shown = None
+        if (reader := self._experiment) is not None:
+            if reader.latest() is None and reader.newest is None:
+                reader.open().wait(_TIMEOUT_NS)
+                reader.latest()
+            shown = reader.newest
         if shown is not None and shown.phase != Phase.IDLE:
             return f"{shown.task}, run {shown.run}"
         now = read_now(self.name)
@@ -107,14 +106,6 @@ class SessionWatch(Closing):
 
     def close(self) -> None:
         self._bus.close()
-
-
-def _newest(reader: Reader, *, wait: bool) -> bytes | None:
-    octets = reader.latest_octets()
-    if octets is None and wait:
-        reader.wait(_TIMEOUT_NS)
-        octets = reader.latest_octets()
-    return octets
 
 
 class MaintenanceLog(Closing):

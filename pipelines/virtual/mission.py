@@ -4,8 +4,8 @@ from collections.abc import Callable
 from functools import partial
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.files.file_requests import ENTITIES, RATES_BPS
-from pipelines.hand.hand_topics import JoystickStatus, unpack_status
+from pipelines.files.file_requests import ENTITIES
+from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.hand.haptics import JoystickEnd
 from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
 from pipelines.link.link_metrics import link_values
@@ -23,6 +23,7 @@ from pipelines.mission.tmtc_messages import (
     plain_fields,
 )
 from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickSource, RobotSource
+from pipelines.session.options import FILES_BPS
 from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import LinkMeanwhile
@@ -132,9 +133,7 @@ class SimulatedTmtc:
     def _sample_joystick(self, now_ns: int) -> None:
         handle = self._handle
         if self._teller is not None:
-            octets = self._teller.poll_status(now_ns)
-            status = None if octets is None else unpack_status(octets)
-            if status is not None:
+            if (status := self._teller.poll_status(now_ns)) is not None:
                 self._joystick.handle_status(status, now_ns)
         elif handle is not None:
             status = JoystickStatus(
@@ -316,7 +315,7 @@ class SimulatedFiles:
                 entity=ENTITIES[segment],
                 peer=ENTITIES[segment.peer],
                 first_number=0,
-                rate_bps=RATES_BPS[segment],
+                rate_bps=FILES_BPS[segment],
                 now_ns=scene.start_ns,
                 delay_ns=scene.setup.radio_profile.longest_delay_ns,
             )

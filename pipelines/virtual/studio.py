@@ -18,14 +18,7 @@ from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.codecs.region import Region
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
-from kontur_av.media import (
-    I420,
-    CaptureStamp,
-    Pcm,
-    VideoCodec,
-    VideoFrame,
-    empty_picture,
-)
+from kontur_av.media import I420, CaptureStamp, Pcm, VideoCodec, VideoFrame, empty_picture
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import StereoPair

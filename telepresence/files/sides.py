@@ -24,8 +24,8 @@ from telepresence.files.pdus import (
     Metadata,
     Nak,
     Pdu,
-    Segments,
 )
+from telepresence.link.octet_streams import OutgoingOctets, RangeSet
 
 #: Those that this end can check.
 KNOWN_SUMS = (ChecksumType.CRC_32, ChecksumType.MODULAR, ChecksumType.NULL_CHECKSUM)
@@ -76,10 +76,9 @@ class FileSender:
         self.done: Finished | None = None
         self.failure = ""
         self.began_ns: int | None = None
-        self.sent_octets = self.resent_octets = 0
-        self._octets, self._pace = octets, pace
+        self.resent_octets = 0
+        self._out, self._pace = OutgoingOctets(octets), pace
         self._metadata_due = True
-        self._again = Segments()
         self._eof = Eof(
             key=metadata.key, size=len(octets), checksum=file_sum(metadata.checksum, octets)
         )
@@ -89,7 +88,11 @@ class FileSender:
 
     @property
     def size(self) -> int:
-        return len(self._octets)
+        return self._out.end
+
+    @property
+    def sent_octets(self) -> int:
+        return self._out.sent
 
     @property
     def ended(self) -> bool:
@@ -103,7 +106,7 @@ class FileSender:
             self._metadata_due = self._metadata_due or pdu.metadata
             for start, end in pdu.ranges:
                 # What comes anyway needs no retransmission.
-                self._again.add(start, min(end, self.sent_octets))
+                self._out.handle_lost(start, end)
         elif isinstance(pdu, Ack) and pdu.of == DirectiveType.EOF_PDU:
             if pdu.condition != self._eof.condition:
                 return
@@ -121,12 +124,12 @@ class FileSender:
             self.failure = CANCELLED
         if self.ended or self.done is not None:
             return
-        self._octets, self._again = self._octets[: self.sent_octets], Segments()
+        octets = self._out.cut()
         self._metadata_due = self._eof_sent = self._eof_acknowledged = False
         self._eof = Eof(
             key=self.metadata.key,
             size=self.size,
-            checksum=file_sum(self.metadata.checksum, self._octets),
+            checksum=file_sum(self.metadata.checksum, octets),
             condition=ConditionCode.CANCEL_REQUEST_RECEIVED,
         )
 
@@ -143,14 +146,12 @@ class FileSender:
             if self.began_ns is None:
                 self.began_ns = now_ns
             return self.metadata
-        if self._again:
-            start, end = self._again.take(self._pace.segment_octets)
-            self.resent_octets += end - start
-            return FileData(key=key, offset=start, data=self._octets[start:end])
-        start = self.sent_octets
-        if start < self.size:
-            self.sent_octets = end = min(start + self._pace.segment_octets, self.size)
-            return FileData(key=key, offset=start, data=self._octets[start:end])
+        again = self._out.lost
+        piece = self._out.next_piece(self._pace.segment_octets)
+        if piece is not None:
+            offset, data = piece
+            self.resent_octets += len(data) if again else 0
+            return FileData(key=key, offset=offset, data=data)
         if not self._eof_sent:
             self._eof_sent = True
             self._heard_ns = now_ns
@@ -167,7 +168,7 @@ class FileSender:
         """When `poll_transmit` has something next; None if the transaction is over."""
         if self.ended:
             return None
-        if self._closing or self._metadata_due or self._again or not self._eof_sent:
+        if self._closing or self._metadata_due or self._out.lost or not self._eof_sent:
             return 0
         return min(self._eof_ns, self._heard_ns + self._pace.timeout_ns)
 
@@ -222,7 +223,7 @@ class FileReceiver:
         self.repeated_octets = 0
         self._pace = pace
         self._data = bytearray()
-        self._there = Segments()
+        self._there = RangeSet()
         self._eof: Eof | None = None
         self._ack: Ack | None = None
         self._heard_ns = self._due_ns = self._alive_ns = now_ns

@@ -13,32 +13,28 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.link.compression.header_compression import FLEETING_REFRESH_NS
-from telepresence.link.compression.rtp_forms import (
-    CONTEXT_OCTETS,
-    KIND_BARE,
-    KIND_LONG,
-    RTP_HEADER_OCTETS,
-    residue_octets,
-)
 from telepresence.link.flows import Level
 from telepresence.link.frame import length_octets
+from telepresence.link.header_compression import (
+    REFRESH_NS,
+    RTP_HEADER_OCTETS,
+    STEADY_OCTETS,
+    TIMED_OCTETS,
+)
 from telepresence.link.profile import LinkProfile
 
 TAG_OCTETS = 1
 RESUME_OCTETS = 1
 
-#: Octets of the RTP header after the tag; other levels have none. Voice keeps to its grid. Video is
-#: charged the longest form, which fits cameras of any regularity; most need less.
-_HEADER_OCTETS = {Level.VOICE: residue_octets(KIND_BARE), Level.VIDEO: residue_octets(KIND_LONG)}
+#: Octets of the RTP header after the tag; other levels have none. Voice keeps to its grid.
+_HEADER_OCTETS = {Level.VOICE: STEADY_OCTETS, Level.VIDEO: TIMED_OCTETS}
 
-#: Above this rate, video headers count as whole: pictures of many packets do not fit the short
-#: forms.
-MOST_COMPRESSED_PER_S = 100
+#: Above this rate, video headers count as whole: too many packets follow a reference for the bits
+#: of the sequence number.
+MOST_COMPRESSED_PER_S = 180
 
-#: Contexts a second and stream, for the worst case: one-way, without acknowledgements. Two-way it
-#: is one in several seconds, and more only while a source changes.
-_CONTEXTS_PER_S = NS_PER_S / FLEETING_REFRESH_NS
+#: Whole headers a second and stream.
+_WHOLE_PER_S = NS_PER_S / REFRESH_NS
 
 #: The levels whose packets interrupt those of lower levels.
 _INTERRUPTING = (Level.TMTC, Level.VOICE)
@@ -54,14 +50,14 @@ TMTC_RESERVE_DOWN_BPS = 8 * (4 + 41)
 RESERVE_BPS = TMTC_RESERVE_BPS + RTCP_RESERVE_BPS
 RESERVE_DOWN_BPS = TMTC_RESERVE_DOWN_BPS + RTCP_RESERVE_BPS
 
-#: Supervision messages a second in normal operation: one every 500 ms, and one a second that
-#: acknowledges a context of the other direction at once, or, every two seconds, compares clocks.
-SUPERVISION_MESSAGES_PER_S = 2 + 1
+#: Supervision messages a second in normal operation: one every 500 ms, and one every two seconds
+#: that compares clocks.
+SUPERVISION_MESSAGES_PER_S = 2 + 0.5
 
 
 def supervision_bps(profile: LinkProfile) -> int:
     """Return what supervision takes below haptics: each message takes a whole packet zone."""
-    return SUPERVISION_MESSAGES_PER_S * 8 * profile.packet_zone_octets
+    return ceil(SUPERVISION_MESSAGES_PER_S * 8 * profile.packet_zone_octets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,10 +87,10 @@ class StreamNeed:
         return ceil(self.header_octets * self.packets_per_s * 8)
 
     def context_bps(self) -> int:
-        """Additional bit rate of the packets that carry a context."""
+        """Additional bit rate of the packets with a whole header, which is the others' context."""
         if self.level not in _HEADER_OCTETS:
             return 0
-        return ceil((TAG_OCTETS + CONTEXT_OCTETS - self.header_octets) * _CONTEXTS_PER_S * 8)
+        return ceil((TAG_OCTETS + RTP_HEADER_OCTETS - self.header_octets) * _WHOLE_PER_S * 8)
 
     def framing_bps(self, profile: LinkProfile) -> int:
         """Bit rate of the resume tags for interrupted packets, and of the lengths of pieces."""

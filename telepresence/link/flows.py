@@ -10,8 +10,6 @@ from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_SAMPLES, VIDEO_CLOCK_HZ
 
 #: A flow's number is three bits of the tag octet.
 MAX_FLOWS = 8
-#: A supervision message has room for the contexts of this many flows.
-MAX_RTP_FLOWS = 4
 
 
 class Level(IntEnum):
@@ -93,12 +91,6 @@ def check_flows(flows: Sequence[Flow]) -> tuple[Flow, ...]:
     """Return the table as a tuple; a flow's index is its number on the link. ConfigError."""
     if len(flows) > MAX_FLOWS:
         raise ConfigError(f"{len(flows)} flows: a direction carries at most {MAX_FLOWS}")
-    rtp = [flow.name for flow in flows if flow.kind is FlowKind.RTP]
-    if len(rtp) > MAX_RTP_FLOWS:
-        raise ConfigError(
-            f"{len(rtp)} RTP flows ({', '.join(rtp)}): a direction carries at most "
-            f"{MAX_RTP_FLOWS}; make {rtp[MAX_RTP_FLOWS]} a raw flow"
-        )
     names = [flow.name for flow in flows]
     for name in names:
         if names.count(name) > 1:

@@ -182,7 +182,7 @@ def _halves(tail: bytes) -> tuple[list[int], list[int]]:
 
 # The tag octet begins each piece, unless the piece just continues a packet (docs/link-format.md):
 # bit 7: the piece's length follows (CLOSED); else the piece fills the zone to its end.
-# bits 6..3: kind: control, or one of rtp_forms; bits 2..0: number of the flow, or control code.
+# bits 6..3: kind: control, or of header_compression; bits 2..0: the flow, or a control code.
 CLOSED = 0x80
 KIND_SHIFT = 3
 KIND_BITS = 0x78

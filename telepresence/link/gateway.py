@@ -12,13 +12,11 @@ A shell that binds sockets needs six lines for each wake-up:
 Between slots, `poll_timeout()` says when the next frame leaves the radio path.
 
 The gateway connects its parts. Events of supervision flush the sender's queues and the receiver's
-incomplete packets, and start and stop delivery. They also tell each end which header contexts the
-other holds.
+incomplete packets, and start and stop delivery. They also say when headers must begin anew.
 
 A `BacklogReporter` says what a gateway reports to senders of video and files, and when.
 """
 
-import struct
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -34,7 +32,6 @@ from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.message import Configuration, SupervisionTiming
 from telepresence.link.supervision.record import (
     ApplicationReset,
-    ContextsHeld,
     PeerDeaf,
     PeerDoubted,
     PeerHears,
@@ -93,7 +90,7 @@ class Gateway:
         secret: int = 0,
         told_offset_ns: int | None = None,
     ) -> None:
-        # A start that continued the counts of another one would seem to share its contexts.
+        # A start that continued the counts of another one would seem to be its stream.
         self.sender = LinkSender(
             transmit, transmit_flows, limits=limits, first_count=boot_id << BOOT_SHIFT
         )
@@ -141,7 +138,6 @@ class Gateway:
         self.frames_received: list[tuple[int, bytes]] | None = None
         # The peer has not been heard yet.
         self.sender.set_timeout(LOST_TIMEOUT_NS)
-        self.sender.handle_peer(heard=False)
         self.handle_local_check(None, now_ns)
 
     def handle_local_check(self, fault: str | None, now_ns: int) -> None:
@@ -225,8 +221,6 @@ class Gateway:
                 return event
             if isinstance(event, PacketReceived):
                 supervisor.handle_application(event.now_ns)
-                # Only packets carry new contexts.
-                supervisor.handle_contexts(receiver.context_ids(), event.now_ns)
                 reports = self._reports
                 if reports is None or event.flow.kind is not FlowKind.RTCP:
                     return event
@@ -263,36 +257,33 @@ class Gateway:
     def _follow_supervision(self) -> None:
         sender, receiver, supervisor = self.sender, self.receiver, self.supervisor
         while (event := supervisor.next_event()) is not None:
-            if isinstance(event, ContextsHeld):
-                sender.handle_acknowledgements(event.ids)
-            elif isinstance(event, SignalLost):
+            if isinstance(event, SignalLost):
                 sender.flush(event.now_ns)
                 sender.set_timeout(LOST_TIMEOUT_NS)
-                sender.handle_peer(heard=False)
                 receiver.handle_signal_lost(event.now_ns)
             elif isinstance(event, SignalAcquired):
                 self._count_contact(event.now_ns)
-                sender.handle_peer(heard=True)
                 if event.gap_ns > FORGET_NS:
-                    self._forget_received(event.now_ns)
+                    receiver.forget_contexts()
             elif isinstance(event, PeerDeaf):
                 sender.flush(event.now_ns)
                 sender.set_timeout(LOST_TIMEOUT_NS)
             elif isinstance(event, PeerHears):
                 self._count_contact(event.now_ns)
                 sender.set_timeout(None)
+                sender.restart_contexts()
             elif isinstance(event, PeerDoubted):
                 receiver.leave()
             elif isinstance(event, PeerMet):
-                sender.forget_contexts()
+                sender.restart_contexts()
                 receiver.forget_contexts()
                 if self.clock is not None:
                     self.clock.handle_peer(event.boot_id, event.now_ns)
             elif isinstance(event, ApplicationReset):
                 sender.flush(event.now_ns)
-                sender.forget_contexts()
+                sender.restart_contexts()
                 receiver.handle_signal_lost(event.now_ns)
-                self._forget_received(event.now_ns)
+                receiver.forget_contexts()
         receiver.deliver = supervisor.delivering
 
     @property
@@ -307,11 +298,6 @@ class Gateway:
         if self._contact_ns is None or now_ns - self._contact_ns > SAME_CONTACT_NS:
             self.contacts += 1
             self._contact_ns = now_ns
-
-    def _forget_received(self, now_ns: int) -> None:
-        """Discard the peer's header contexts, which can no longer be trusted."""
-        self.receiver.forget_contexts()
-        self.supervisor.handle_contexts(self.receiver.context_ids(), now_ns)
 
     def report(self, now_ns: int) -> GatewayMetrics:
         """Return the counts of this end until `now_ns`."""
@@ -331,9 +317,6 @@ REPEAT_NS = 500 * NS_PER_MS
 #: `Backlog.freed_bps` is rounded down to a multiple of this, so that not every slot is a change.
 FREED_STEP_BPS = 1_000
 
-_LAYOUT = struct.Struct("=qq?qq")
-BACKLOG_OCTETS = _LAYOUT.size
-
 
 class Backlog(NamedTuple):
     """The state of a gateway's way out, for the senders of video and of files.
@@ -350,15 +333,6 @@ class Backlog(NamedTuple):
     peer_heard: bool
     freed_bps: int
     maintenance_octets: int = 0
-
-    def pack(self) -> bytes:
-        """`BACKLOG_OCTETS` octets for another process of the same machine."""
-        return _LAYOUT.pack(*self)
-
-    @classmethod
-    def unpack(cls, data: bytes) -> "Backlog":
-        """What `pack` packed."""
-        return cls(*_LAYOUT.unpack(data))
 
 
 class BacklogReporter:

@@ -7,8 +7,6 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from telepresence.link.compression.header_compression import RtpDecompressor
-from telepresence.link.compression.rtp_forms import KIND_CONTEXT, KIND_RAW
 from telepresence.link.flows import (
     MAX_FLOWS,
     Flow,
@@ -30,6 +28,7 @@ from telepresence.link.frame import (
     TAG_RESUME,
     Pointers,
 )
+from telepresence.link.header_compression import KIND_WHOLE, RtpDecompressor
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
 
 #: The level that each control code resumes; -1 for undefined codes.
@@ -52,7 +51,6 @@ class PacketReassembly:
 
     received: by flow, in the table's order. dropped: by reason.
     deliver: while False, packets are dropped and counted as `unapproved`.
-    context_ids: the newest context held of each RTP flow, in the table's order; 0 for none.
     """
 
     def __init__(
@@ -71,7 +69,6 @@ class PacketReassembly:
             RtpDecompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
             for flow in flows
         ]
-        self.context_ids = (0,) * sum(item is not None for item in self._decompressors)
         self._levels = [int(flow.level) for flow in flows]
         self._levels += [-1] * (MAX_FLOWS - len(flows))
         self._partials: list[_Partial | None] = [None] * len(Level)
@@ -112,14 +109,12 @@ class PacketReassembly:
         for decompressor in self._decompressors:
             if decompressor is not None:
                 decompressor.forget()
-        self._note_contexts()
 
     def go_on_from(self, other: "PacketReassembly", *, contexts: bool) -> None:
         """Take over the incomplete packets of another one, and with `contexts` its contexts."""
         self._partials, self._on_air = other._partials, other._on_air
         if contexts:
             self._decompressors = other._decompressors
-            self._note_contexts()
 
     def drop(self, reason: str) -> None:
         self.dropped[reason] = self.dropped.get(reason, 0) + 1
@@ -201,12 +196,10 @@ class PacketReassembly:
         packet: bytes | str
         if decompressor is not None:
             packet = decompressor.decompress(kind, body, count)
-            if kind == KIND_CONTEXT:
-                self._note_contexts()
             if isinstance(packet, str):
                 self.drop(packet)
                 return
-        elif kind == KIND_RAW:
+        elif kind == KIND_WHOLE:
             packet = body
         else:
             self.drop("malformed")
@@ -216,10 +209,3 @@ class PacketReassembly:
             self._events.append(PacketReceived(self.flows[number], packet, now_ns))
         else:
             self.drop("unapproved")
-
-    def _note_contexts(self) -> None:
-        self.context_ids = tuple(
-            decompressor.context_id
-            for decompressor in self._decompressors
-            if decompressor is not None
-        )

@@ -158,12 +158,8 @@ class LinkReceiver:
         """The signal is lost: drop incomplete packets, which would not be completed in time."""
         self.packets.drop_incomplete()
 
-    def context_ids(self) -> tuple[int, ...]:
-        """The newest context held of each RTP flow, in the table's order; 0 for none."""
-        return self.packets.context_ids
-
     def forget_contexts(self) -> None:
-        """Forget all contexts: the peer began a new start, which reuses their numbers."""
+        """Forget all header contexts: the peer began a new start."""
         self.packets.forget_contexts()
 
     def next_event(self) -> LinkEvent | None:

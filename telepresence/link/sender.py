@@ -4,8 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from telepresence.haptics.mediated.wall import is_wall
-from telepresence.link.compression.header_compression import RtpCompressor
-from telepresence.link.compression.rtp_forms import KIND_RAW
 from telepresence.link.flows import Flow, FlowKind, Level, check_flows
 from telepresence.link.frame import (
     CLOSED,
@@ -19,6 +17,7 @@ from telepresence.link.frame import (
     FrameCodec,
     Pointers,
 )
+from telepresence.link.header_compression import KIND_WHOLE, RtpCompressor
 from telepresence.link.link_metrics import SenderMetrics
 from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
@@ -81,7 +80,6 @@ class LinkSender:
             RtpCompressor(flow, profile.slot_ns) if flow.kind is FlowKind.RTP else None
             for flow in self.flows
         ]
-        self._rtp = [compressor for compressor in self._compressors if compressor is not None]
         self._first_count = first_count
         self._count = first_count
         self._insert_octets = profile.insert_octets
@@ -162,20 +160,11 @@ class LinkSender:
         for queue in self._queues:
             queue.set_timeout(max_age_ns)
 
-    def handle_acknowledgements(self, ids: Sequence[int]) -> None:
-        """Take the context ids that the peer holds, in the order of the table's RTP flows."""
-        for compressor, context_id in zip(self._rtp, ids, strict=False):
-            compressor.handle_acknowledgement(context_id, self._count)
-
-    def handle_peer(self, *, heard: bool) -> None:
-        """Set whether the peer is heard, so that acknowledgements can arrive."""
-        for compressor in self._rtp:
-            compressor.handle_peer(heard=heard)
-
-    def forget_contexts(self) -> None:
-        """The peer began a new start and holds no context."""
-        for compressor in self._rtp:
-            compressor.forget()
+    def restart_contexts(self) -> None:
+        """The peer may hold no header context: begin all RTP flows with whole headers."""
+        for compressor in self._compressors:
+            if compressor is not None:
+                compressor.restart()
 
     def poll_transmit(self, now_ns: int, supervision: bytes | None = None) -> bytes:
         """Return the frame of this slot: `profile.frame_octets` octets, idle if nothing waits.
@@ -316,7 +305,7 @@ class LinkSender:
         number, data = self._queues[level].take(now_ns)
         compressor = self._compressors[number]
         if compressor is None:
-            kind, body, header_octets = KIND_RAW, data, 0
+            kind, body, header_octets = KIND_WHOLE, data, 0
         else:
             kind, body, header_octets = compressor.compress(data, self._count)
         tag = kind << KIND_SHIFT | number

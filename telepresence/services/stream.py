@@ -1,21 +1,17 @@
 """One end of one stream: reliable, in order, with credit. All instants are in contact time.
 
 The timer of repetitions is that of RFC 6298. The receiver also tells the first gap: datagrams stay
-in order on the link, so what is missing before later octets is sent again at once.
+in order on the link, so what is missing before later octets is sent again at once. The end of a
+direction counts as one octet.
 """
 
-from collections import deque
 from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.modular import serial_difference
-from telepresence.services.datagrams import (
-    PART_OCTETS,
-    OpenService,
-    ResetReason,
-    StreamPart,
-)
+from telepresence.link.octet_streams import IncomingOctets, OutgoingOctets
+from telepresence.services.datagrams import PART_OCTETS, OpenService, ResetReason, StreamPart
 
 #: The most octets kept for each direction, and on their way in it.
 WINDOW_OCTETS = 4096
@@ -40,17 +36,6 @@ class StreamPace:
     idle_ns: int = 600 * NS_PER_S
 
 
-@dataclass(slots=True)
-class _Flight:
-    """A part on its way. end: the offset behind its data, and one more if it is the last part."""
-
-    begin: int
-    end: int
-    sent_ns: int
-    times: int = 1
-    lost: bool = False
-
-
 class ServiceStream:
     """One end of a stream. A core.
 
@@ -68,17 +53,22 @@ class ServiceStream:
         #: Whether the shell was told that nothing follows.
         self.end_told = False
         self._opening, self._pace = opening, pace
-        #: Octets that are not acknowledged yet: `_out` begins at the offset `_base`.
-        self._out, self._base, self._ended = bytearray(), 0, False
-        self._sent = self._acked = 0
+        #: The octets for the other end; once `_ended`, the last one is the end itself.
+        self._out, self._ended = OutgoingOctets(), False
         #: The offset up to which the other end has room.
         self._edge = WINDOW_OCTETS
-        self._flights: deque[_Flight] = deque()
+        #: When the oldest octets that are under way are repeated, and how often they were.
+        self._repeat_at_ns, self._repeats = now_ns, 0
+        #: When octets were sent again last, and up to which offset.
+        self._again_ns, self._again_end = now_ns, 0
+        #: The offset behind a part whose round trip is measured, and when it was sent.
+        self._timed: tuple[int, int] | None = None
         self._smoothed_ns, self._variation_ns = 0, 0
         self._opened_times, self._open_ns = 0, now_ns
         self._taken = 0
-        self._last_came = False
-        self._early: dict[int, tuple[bytes, bool]] = {}
+        self._in = IncomingOctets(_MOST_EARLY)
+        #: The offset at which the other end's octets end, once it is known.
+        self._final: int | None = None
         #: When to acknowledge; the opener learns `answer` by the first one.
         self._ack_ns = None if mine else now_ns
         self._told_edge = WINDOW_OCTETS
@@ -89,7 +79,7 @@ class ServiceStream:
     @property
     def room_octets(self) -> int:
         """Octets that `handle_data` may get now."""
-        return 0 if self._ended else WINDOW_OCTETS - len(self._out)
+        return 0 if self._ended else WINDOW_OCTETS - (self._out.end - self._out.base)
 
     @property
     def came_whole(self) -> bool:
@@ -99,7 +89,7 @@ class ServiceStream:
     @property
     def finished(self) -> bool:
         """Whether both directions have ended."""
-        return self.came_whole and self._acked > self._data_end
+        return self.came_whole and self._ended and self._out.base == self._out.end
 
     @property
     def deadline_ns(self) -> int:
@@ -117,12 +107,14 @@ class ServiceStream:
 
     def handle_data(self, octets: bytes, now_ns: int) -> None:
         """Octets for the other end, at most `room_octets`."""
-        self._out += octets
+        self._out.add(octets)
         self._moved_ns = now_ns
 
     def handle_end(self) -> None:
         """Nothing follows from here."""
-        self._ended = True
+        if not self._ended:
+            self._ended = True
+            self._out.add(b"\0")
 
     def handle_open(self, now_ns: int) -> None:
         """The opener asks again: it has heard nothing yet."""
@@ -138,18 +130,18 @@ class ServiceStream:
 
     def handle_part(self, part: StreamPart, now_ns: int) -> None:
         """A part of the other end; ProtocolError if it cannot be one of this stream."""
-        received = self._taken + len(self.ready)
+        received = self._in.received
         offset = received + serial_difference(part.offset - received)
         fresh = part.data or part.last
         end = offset + len(part.data)
         most = received if self._last_came else self._taken + WINDOW_OCTETS
         if fresh and not 0 <= offset <= end <= most:
             raise ProtocolError("beyond the window or the end")
-        ack = self._acked + serial_difference(part.ack - self._acked)
+        ack = self._out.base + serial_difference(part.ack - self._out.base)
         self._acknowledged(ack, part.window, part.gap, now_ns)
         self.answer = part.answer
         self._asked_ns = now_ns
-        self._waiting_ns = now_ns if self._flights else None
+        self._waiting_ns = now_ns if self._under_way else None
         if fresh:
             self._take(offset, part.data, last=part.last, now_ns=now_ns)
         elif part.ask:
@@ -164,18 +156,16 @@ class ServiceStream:
             self._opened_times += 1
             self._await(now_ns)
             return self._opening
-        flight = self._due_flight(now_ns)
-        if flight is not None:
+        part = self._due_part(now_ns)
+        if part is not None:
             self._await(now_ns)
-            first, end = flight.begin - self._base, min(flight.end, self._data_end) - self._base
-            data, last = bytes(self._out[first:end]), flight.end > self._data_end
-            return self._part(flight.begin, data, last=last)
+            return part
         if now_ns >= self._ask_ns:
             self._asked_ns = now_ns
             self._await(now_ns)
-            return self._part(self._sent, ask=True)
+            return self._part(self._out.sent, ask=True)
         if self._ack_ns is not None and now_ns >= self._ack_ns:
-            return self._part(self._sent)
+            return self._part(self._out.sent)
         return None
 
     def poll_timeout(self) -> int:
@@ -185,32 +175,44 @@ class ServiceStream:
         due_ns = self._ask_ns
         if self._ack_ns is not None:
             due_ns = min(due_ns, self._ack_ns)
-        if self._more or any(flight.lost for flight in self._flights):
+        if self._more or self._out.lost:
             return 0
-        if self._flights:
-            first = self._flights[0]
-            due_ns = min(due_ns, first.sent_ns + self._repeat_ns(first.times - 1))
+        if self._under_way:
+            due_ns = min(due_ns, self._repeat_at_ns)
         return due_ns
 
     def final_part(self) -> StreamPart:
         """The answer to what comes after the end."""
-        return self._part(self._sent)
+        return self._part(self._out.sent)
+
+    @property
+    def _last_came(self) -> bool:
+        return self._in.received == self._final
 
     @property
     def _data_end(self) -> int:
-        return self._base + len(self._out)
+        return self._out.end - self._ended
+
+    @property
+    def _limit(self) -> int:
+        """The offset up to which octets may be sent; the end needs no room."""
+        return self._out.end if self._data_end <= self._edge else self._edge
 
     @property
     def _more(self) -> bool:
         """Whether something new may be sent."""
-        end = self._data_end
-        return self._sent < min(end, self._edge) or (self._ended and self._sent == end)
+        return self._out.sent < self._limit
+
+    @property
+    def _under_way(self) -> bool:
+        """Whether octets were sent and are not acknowledged."""
+        return self._out.base < self._out.sent
 
     @property
     def _ask_ns(self) -> int:
-        if self._flights:
+        if self._under_way:
             return self._asked_ns + _ASK_LIFETIME_NS
-        blocked = self._sent < self._data_end and not self._more
+        blocked = self._out.sent < self._data_end and not self._more
         soon = blocked or self._waiting_ns is not None
         return self._asked_ns + (_ASK_ROOM_NS if soon else _ASK_LIFETIME_NS)
 
@@ -232,86 +234,71 @@ class ServiceStream:
         self._variation_ns += (error_ns - self._variation_ns) // 4
         self._smoothed_ns += (round_trip_ns - self._smoothed_ns) // 8
 
-    def _due_flight(self, now_ns: int) -> _Flight | None:
+    def _due_part(self, now_ns: int) -> StreamPart | None:
         """What is to be sent now: again, or for the first time."""
-        for number, flight in enumerate(self._flights):
-            due_ns = flight.sent_ns + self._repeat_ns(flight.times - 1)
-            if flight.lost or (number == 0 and now_ns >= due_ns):
-                flight.sent_ns, flight.lost = now_ns, False
-                flight.times += 1
-                self.resent_octets += min(flight.end, self._data_end) - flight.begin
-                return flight
-        if not self._more:
+        out, under_way = self._out, self._under_way
+        if under_way and now_ns >= self._repeat_at_ns:
+            out.handle_lost(out.base, out.base + PART_OCTETS)
+            self._repeats += 1
+        again = out.lost
+        piece = out.next_piece(PART_OCTETS, self._limit)
+        if piece is None:
             return None
-        end = min(self._sent + PART_OCTETS, self._data_end, max(self._edge, self._sent))
-        self.sent_octets += end - self._sent
-        last = self._ended and end == self._data_end
-        flight = _Flight(self._sent, end + last, now_ns)
-        self._flights.append(flight)
-        self._sent = flight.end
-        return flight
+        offset, data = piece
+        end = offset + len(data)
+        last = end > self._data_end
+        if last:
+            data = data[:-1]
+        if again:
+            self.resent_octets += len(data)
+            self._again_ns, self._again_end = now_ns, end
+            # It would be unknown which of the two was answered (Karn's algorithm).
+            self._timed = None
+        else:
+            self.sent_octets += len(data)
+            self._timed = self._timed or (end, now_ns)
+        if again or not under_way:
+            self._repeat_at_ns = now_ns + self._repeat_ns(self._repeats)
+        return self._part(offset, data, last=last)
 
     def _part(
         self, offset: int, data: bytes = b"", *, last: bool = False, ask: bool = False
     ) -> StreamPart:
         self._ack_ns = None
-        received = self._taken + len(self.ready)
+        received = self._in.received
         self._told_edge = self._taken + WINDOW_OCTETS
-        gap = min(self._early) - received if self._early else 0
-        ack = received + self._last_came
-        window = self._told_edge - received
-        return StreamPart(self.token, self.answer, offset, ack, window, gap, data, last, ask)
+        ack, window = received + self._last_came, self._told_edge - received
+        return StreamPart(
+            self.token, self.answer, offset, ack, window, self._in.gap, data, last, ask
+        )
 
     def _acknowledged(self, ack: int, window: int, gap: int, now_ns: int) -> None:
-        if ack > self._sent:
+        out = self._out
+        if ack > out.sent:
             raise ProtocolError("acknowledges what was not sent")
-        if ack < self._acked:
+        if ack < out.base:
             return
-        flights, once, newest = self._flights, True, None
-        while flights and flights[0].end <= ack:
-            newest = flights.popleft()
-            once = once and newest.times == 1
-        if newest is not None:
-            self._moved_ns = now_ns
-            if once:
-                # After a repetition it is unknown which of the two was answered (Karn's algorithm).
-                self._measure(now_ns - newest.sent_ns)
-        if flights and flights[0].begin < ack:
-            flights[0].begin = ack
-        base = min(ack, self._data_end)
-        del self._out[: base - self._base]
-        self._base, self._acked = base, ack
+        if out.handle_acknowledged(ack):
+            self._moved_ns, self._repeats = now_ns, 0
+            if self._timed is not None and self._timed[0] <= ack:
+                self._measure(now_ns - self._timed[1])
+                self._timed = None
+            self._repeat_at_ns = now_ns + self._repeat_ns(0)
         self._edge = max(self._edge, ack + window)
-        for flight in flights:
-            if flight.begin >= ack + gap:
-                break
-            # Not again before an answer to the repetition could have come.
-            flight.lost = flight.lost or now_ns - flight.sent_ns >= self._smoothed_ns * 3 // 4
+        # Not again before an answer to the repetition could have come.
+        soon = now_ns - self._again_ns < self._smoothed_ns * 3 // 4
+        out.handle_lost(max(ack, self._again_end) if soon else ack, ack + gap)
 
     def _take(self, offset: int, data: bytes, *, last: bool, now_ns: int) -> None:
-        received = self._taken + len(self.ready)
-        if offset > received:
-            if len(self._early) < _MOST_EARLY:
-                self._early.setdefault(offset, (data, last))
+        ended = self._last_came
+        if last:
+            self._final = offset + len(data)
+        fresh = self._in.handle_piece(offset, data)
+        if not fresh and self._last_came == ended:
             self._ack_ns = now_ns
-            return
-        if offset + len(data) <= received and (not last or self._last_came):
-            self._ack_ns = now_ns
-            return
-        self._merge(offset, data, last=last)
-        while self._early and min(self._early) <= self._taken + len(self.ready):
-            first = min(self._early)
-            early, early_last = self._early.pop(first)
-            self._merge(first, early, last=early_last)
-        self._moved_ns = now_ns
-        soon_ns = now_ns if last or self._early else now_ns + _ACK_NS
-        self._ack_ns = soon_ns if self._ack_ns is None else min(soon_ns, self._ack_ns)
-
-    def _merge(self, offset: int, data: bytes, *, last: bool) -> None:
-        received = self._taken + len(self.ready)
-        fresh = data[received - offset :]
-        if self._last_came:
             return
         self.ready += fresh
         self.received_octets += len(fresh)
-        self._last_came = last and offset + len(data) == received + len(fresh)
+        self._moved_ns = now_ns
+        soon_ns = now_ns if last or self._in.gap else now_ns + _ACK_NS
+        self._ack_ns = soon_ns if self._ack_ns is None else min(soon_ns, self._ack_ns)

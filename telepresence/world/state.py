@@ -67,6 +67,14 @@ class WorldState:
             return self
         return replace(self, force_n=0.0, contact=False, contact_since_ns=None)
 
+    def dated(self) -> "WorldState":
+        """Return the state in which a contact without a beginning begins now."""
+        if not self.contact:
+            return self
+        since_ns = self.time_ns if self.contact_since_ns is None else self.contact_since_ns
+        touched_ns = since_ns if self.touched_ns is None else self.touched_ns
+        return replace(self, contact_since_ns=since_ns, touched_ns=touched_ns)
+
     @property
     def lit(self) -> int | None:
         """Index into LEDS_M of the lit target: touched, in contact. None: all are dark."""

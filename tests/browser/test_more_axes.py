@@ -6,10 +6,9 @@ from mcap.reader import make_reader
 from running_session import RunningSession
 from selenium.webdriver import ActionChains
 
-from pipelines.hand.hand_topics import unpack_status
-from pipelines.hand.haptic_trace import rows_of
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
+from pipelines.hand.haptic_trace import ROBOT_TRACE_TOPIC, rows_of
 from pipelines.recording.recorded_messages import unpack_haptics
-from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TRACE_TOPIC
 
 SETUP = """
 cameras = ["static"]
@@ -47,7 +46,7 @@ def test_sliders_move_the_axes_and_all_of_it_is_recorded(
         trace, joystick = bus.reader(ROBOT_TRACE_TOPIC), bus.reader(JOYSTICK_STATE_TOPIC)
 
         def held():
-            return newest(joystick, unpack_status).dead_man
+            return newest(joystick, JOYSTICK_STATE_TOPIC.unpack).dead_man
 
         for axis, field in enumerate(("z_m", "gripper_m")):
 

@@ -18,13 +18,7 @@ from kontur_av.clock import NS_PER_S
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
-from pipelines.seats.texts import (
-    SoftwareText,
-    TransferText,
-    UpkeepText,
-    WelcomeText,
-    pack_text,
-)
+from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText, WelcomeText, pack_text
 from pipelines.session.access import Role
 from pipelines.session.mission_messages import (
     ExperimentShown,

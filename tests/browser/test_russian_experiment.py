@@ -12,8 +12,7 @@ from janus_room import free_port
 from robot_tip import STILL_M, Tip
 from running_session import COMMAND, TIMEOUT_S, RunningSession
 
-from pipelines.hand.haptic_trace import CONTACT, rows_of
-from pipelines.session.topology import JOYSTICK_TRACE_TOPIC
+from pipelines.hand.haptic_trace import CONTACT, JOYSTICK_TRACE_TOPIC, rows_of
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_robot.py"
 LAB = 'cameras = ["head"]\npartner_arm = "board"\n[uplink_video]\ncap_kbps = 85\n'

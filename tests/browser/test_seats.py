@@ -22,10 +22,9 @@ from numbered_pictures import (
 from running_session import RunningSession, restarted
 from selenium.webdriver import ActionChains
 
-from pipelines.hand.hand_topics import unpack_status
-from pipelines.session.mission_messages import RobotStatus
-from pipelines.session.topic_ends import MissionReader, unpack_state
-from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_STATUS_TOPIC, ROBOT_TOPIC
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
+from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC, ROBOT_TOPIC
+from pipelines.session.topic_ends import TopicReader
 from telepresence.haptics.envelope import Hold
 
 #: Below what the coder makes of a camera's picture, far above a picture that began wrongly.
@@ -199,7 +198,7 @@ class Robot:
     def __init__(self, bus):
         self._state = bus.reader(ROBOT_TOPIC)
         self._joystick = bus.reader(JOYSTICK_STATE_TOPIC)
-        self._status = MissionReader(bus, ROBOT_STATUS_TOPIC, RobotStatus)
+        self._status = TopicReader(bus, ROBOT_STATUS_TOPIC)
         self._held = False
 
     def hold(self):
@@ -215,7 +214,7 @@ class Robot:
         lease = self._joystick.latest()
         if lease is not None:
             with lease:
-                self._held = unpack_status(lease.octets()).dead_man
+                self._held = JOYSTICK_STATE_TOPIC.unpack(lease.octets()).dead_man
         return self._held
 
     def _newest(self):
@@ -223,7 +222,7 @@ class Robot:
         if lease is None:
             return None
         with lease:
-            return unpack_state(lease.octets())
+            return ROBOT_TOPIC.unpack(lease.octets())
 
 
 @pytest.fixture

@@ -10,8 +10,7 @@ from running_session import RunningSession
 from selenium.webdriver import ActionChains
 
 from pipelines.media.following import board_view
-from pipelines.session.topic_ends import unpack_state
-from pipelines.session.topology import ROBOT_TOPIC
+from pipelines.session.mission_messages import ROBOT_TOPIC
 
 SETUP = """
 cameras = ["static"]
@@ -89,7 +88,7 @@ class Seat:
     def place(self):
         """Return where the robot's tip is now (m); no page knows that yet."""
         with eventually(self.robot.latest, "a state of the robot") as lease:
-            state = unpack_state(lease.octets())
+            state = ROBOT_TOPIC.unpack(lease.octets())
         return state.x_m, state.y_m
 
     def spot(self, place):

@@ -11,13 +11,7 @@ import pytest
 from common import repeats
 from hypothesis import settings
 from hypothesis import strategies as st
-from hypothesis.stateful import (
-    RuleBasedStateMachine,
-    initialize,
-    invariant,
-    precondition,
-    rule,
-)
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError

@@ -1,9 +1,8 @@
 """RTP sources that behave like real ones, and a lossy path between the two ends of a flow."""
 
 import struct
-from collections import deque
 
-from telepresence.link.compression.header_compression import RtpCompressor, RtpDecompressor
+from telepresence.link.header_compression import KIND_WHOLE, RtpCompressor, RtpDecompressor
 
 SLOT_NS = 1_000_000
 
@@ -49,55 +48,23 @@ def voice(random, seconds, *, block_ms=20, jitter_ms=3.0, ppm=0):
 
 
 class Path:
-    """One flow from end to end. Acknowledgements are delayed and keep their order."""
+    """One flow from end to end."""
 
-    def __init__(self, flow, *, heard=True, alive_slots=500):
+    def __init__(self, flow):
         self.compressor = RtpCompressor(flow, SLOT_NS)
         self.decompressor = RtpDecompressor(flow, SLOT_NS)
-        self.heard = heard
-        self.compressor.handle_peer(heard=heard)
-        self._alive_slots = alive_slots
-        self._acknowledgements = deque()
-        self._told = (0, -alive_slots)
         #: Result of each received packet: (count, kind, whether it equals the sent one).
         self.outcomes = []
 
-    def hear(self, heard):
-        if not heard:
-            self._acknowledgements.clear()
-        self.heard = heard
-        self.compressor.handle_peer(heard=heard)
-
-    def receiver_restarts(self, count, delay_slots):
-        self.decompressor.forget()
-        self._acknowledgements.append((count + delay_slots, None))
-
-    def send(self, count, packet, *, arrives=True, told=True, delay_slots=40):
+    def send(self, count, packet, *, arrives=True):
         """Send `packet` and return its kind; assert that nothing wrong comes out."""
-        while self._acknowledgements and self._acknowledgements[0][0] <= count:
-            at, number = self._acknowledgements.popleft()
-            if not self.heard:
-                continue
-            if number is None:
-                self.compressor.forget()
-            else:
-                self.compressor.handle_acknowledgement(number, at)
         kind, body, header_octets = self.compressor.compress(packet, count)
         assert header_octets == len(body) - len(packet) + 12 if packet[0] == 0x80 else True
-        assert kind < 3 or header_octets <= 3
+        assert kind == KIND_WHOLE or header_octets <= 3
         if arrives:
             out = self.decompressor.decompress(kind, body, count)
             assert out in (packet, "no_context"), (kind, count)
             self.outcomes.append((count, kind, out == packet))
-        number, since = self._told
-        held = self.decompressor.context_id
-        if self.heard and (held != number or count - since >= self._alive_slots):
-            self._told = (held, count)
-            if told:
-                at = count + delay_slots
-                if self._acknowledgements:
-                    at = max(at, self._acknowledgements[-1][0])
-                self._acknowledgements.append((at, held))
         return kind
 
     def octets_a_packet(self):

@@ -7,22 +7,15 @@ from running_session import eventually
 from kontur_av.clock import MonotonicClock
 from kontur_av.media import CaptureStamp
 from pipelines.hand.hand_topics import (
-    INPUT_OCTETS,
-    REQUEST_OCTETS,
-    HandRequest,
-    pack_input,
-    pack_request,
-    unpack_status,
-)
-from pipelines.hand.haptic_trace import rows_of
-from pipelines.session.topic_ends import unpack_state
-from pipelines.session.topology import (
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
+    INPUT_OCTETS,
     JOYSTICK_STATE_TOPIC,
-    ROBOT_TOPIC,
-    ROBOT_TRACE_TOPIC,
+    REQUEST_OCTETS,
+    HandRequest,
 )
+from pipelines.hand.haptic_trace import ROBOT_TRACE_TOPIC, rows_of
+from pipelines.session.mission_messages import ROBOT_TOPIC
 from telepresence.haptics.device.page import PageInput
 
 
@@ -45,12 +38,14 @@ class PageHand:
     def point(self, x, y, *, dead_man=True):
         now_ns = self.clock.now_ns()
         hand = PageInput(dead_man, x, y, 0, next(self.numbers), now_ns)
-        self.hand.publish_octets(pack_input(hand), self.stamp(now_ns))
+        self.hand.publish_octets(HAND_INPUT_TOPIC.pack(hand), self.stamp(now_ns))
 
     def ask(self, event):
         number = next(self.numbers)
-        request = pack_request(HandRequest(number, event))
-        self.requests.publish_octets(request, self.stamp(self.clock.now_ns()))
+        request = HandRequest(number, event)
+        self.requests.publish_octets(
+            HAND_REQUEST_TOPIC.pack(request), self.stamp(self.clock.now_ns())
+        )
         return eventually(lambda: self.answer(number), f"the answer to {event.value}")
 
     def answer(self, number):
@@ -59,14 +54,16 @@ class PageHand:
 
     def status(self):
         data = self.newest(JOYSTICK_STATE_TOPIC)
-        return None if data is None else unpack_status(data)
+        return None if data is None else JOYSTICK_STATE_TOPIC.unpack(data)
 
     def is_in(self, state):
         status = self.status()
         return status is not None and status.state == state
 
     def robot(self):
-        return unpack_state(eventually(lambda: self.newest(ROBOT_TOPIC), "a state of the robot"))
+        return ROBOT_TOPIC.unpack(
+            eventually(lambda: self.newest(ROBOT_TOPIC), "a state of the robot")
+        )
 
     def newest(self, topic):
         lease = self.readers[topic].latest()

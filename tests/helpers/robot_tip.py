@@ -6,8 +6,7 @@ from math import dist
 from running_session import eventually
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.session.topic_ends import unpack_state
-from pipelines.session.topology import ROBOT_TOPIC
+from pipelines.session.mission_messages import ROBOT_TOPIC
 
 #: A robot that holds still gives way to what it touches, and comes to rest.
 STILL_M = 0.002
@@ -23,7 +22,7 @@ class Tip:
     def state(self):
         lease = eventually(self._reader.latest, "a state of the robot")
         with lease:
-            return unpack_state(lease.octets())
+            return ROBOT_TOPIC.unpack(lease.octets())
 
     def place(self):
         state = self.state()

@@ -73,7 +73,7 @@ SHELLS = {
     "pipelines/session": (
         "command_process datagrams kept_files launcher machine_checks option_rows options "
         "page_sockets process recording_requests requests served_pages serving_loop sessions "
-        "topic_ends web_site"
+        "site_file topic_ends web_site"
     ),
     "pipelines/session/setup": "former_names setup_file sources",
     "pipelines/study": "running",

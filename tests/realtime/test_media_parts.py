@@ -9,25 +9,21 @@ import pytest
 from running_part import CLOCK, SETUP, eventually, running
 
 from kontur_av.codecs.h26x import H264Encoder
-from kontur_av.media import (
-    AudioFrame,
-    CaptureStamp,
-    Quality,
-    VideoFrame,
-    empty_picture,
-)
+from kontur_av.media import AudioFrame, CaptureStamp, Quality, VideoFrame, empty_picture
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import remove_session
+from pipelines.media.following import SELECTED_TOPIC
 from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics
 from pipelines.media.process_capture import run_microphone
 from pipelines.media.process_display import run_display
 from pipelines.media.process_send import run_video_send
 from pipelines.session.process import Context
 from pipelines.session.session_metrics import ShownRow
-from pipelines.session.topology import SELECTED_TOPIC
+from pipelines.session.topic_ends import TopicWriter
+from pipelines.session.topology import Direction, backlog_topic
 from pipelines.table import topology_of
-from telepresence.link.gateway import BACKLOG_OCTETS, Backlog
+from telepresence.link.gateway import Backlog
 
 SOUND = np.zeros(960, np.int16)
 
@@ -107,7 +103,7 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
         running(session, run_video_send, stream=stream, topic=SELECTED_TOPIC) as listen,
     ):
         pictures = bus.writer(SELECTED_TOPIC, max_octets=stream.width * stream.height * 3 // 2)
-        backlog = bus.writer("link/uplink", max_octets=BACKLOG_OCTETS, wake=False)
+        backlog = TopicWriter(bus, backlog_topic(Direction.UPLINK))
         numbers = iter(range(10_000))
 
         def counters():
@@ -115,8 +111,7 @@ def test_nothing_is_encoded_while_the_link_is_behind(session):
 
         def counted(counter, more_than, waiting_octets):
             def look():
-                stamp = CaptureStamp(CLOCK.now_ns(), 0, "gateway")
-                backlog.publish_octets(Backlog(waiting_octets, 1, True, 0).pack(), stamp)
+                backlog.publish(Backlog(waiting_octets, 1, True, 0), CLOCK.now_ns())
                 picture = empty_picture(stream.width, stream.height)
                 picture[:] = 128
                 stamp = CaptureStamp(CLOCK.now_ns(), next(numbers), "static")

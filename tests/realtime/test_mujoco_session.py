@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from running_session import eventually
 
-from pipelines.session.topic_ends import unpack_state
-from pipelines.session.topology import ROBOT_TOPIC
+from pipelines.session.mission_messages import ROBOT_TOPIC
 
 pytest.importorskip("mujoco", reason="mujoco: pip install mujoco")
 
@@ -45,7 +44,7 @@ def test_an_arm_is_driven_seen_and_outlives_its_physics(start, tmp_path, monkeyp
 
         def position_m():
             with eventually(reader.latest, "a state of the robot") as lease:
-                return unpack_state(lease.octets()).x_m
+                return ROBOT_TOPIC.unpack(lease.octets()).x_m
 
         began_m = position_m()
         eventually(lambda: abs(position_m() - began_m) > 0.01, "a motion")

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from running_session import eventually
 
-from pipelines.session.topic_ends import unpack_state
-from pipelines.session.topology import ROBOT_TOPIC
+from pipelines.session.mission_messages import ROBOT_TOPIC
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_robot.py"
 
@@ -22,7 +21,7 @@ def test_the_samples_robot_is_moved_touches_its_wall_and_stops(start, tmp_path, 
         def state():
             lease = eventually(reader.latest, "a state of the robot")
             with lease:
-                return unpack_state(lease.octets())
+                return ROBOT_TOPIC.unpack(lease.octets())
 
         eventually(lambda: state().contact and state().force_n > 1.0, "a contact")
         assert session.ask("stop").returncode == 0

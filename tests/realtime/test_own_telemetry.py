@@ -6,10 +6,10 @@ from pathlib import Path
 
 from running_session import eventually
 
-from pipelines.mission.tmtc_messages import CommandUpdate, Reported, unpack_news
+from pipelines.mission.tmtc_messages import TMTC_TOPICS, CommandUpdate, Reported
 from pipelines.recording.recorded_messages import RecordedEvent, unpack
 from pipelines.recording.scan import FoundMessage, Scan
-from pipelines.session.topology import TMTC_TOPICS, Segment
+from pipelines.session.topology import Segment
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_telemetry.py"
 
@@ -60,7 +60,7 @@ def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_pa
         def recharged():
             while (lease := reader.next()) is not None:
                 with lease:
-                    heard.append(unpack_news(lease.octets()))
+                    heard.append(TMTC_TOPICS[Segment.GROUND].unpack(lease.octets()))
             # A stalled reader loses news, and hears them when it sinks again.
             return any(isinstance(one, Reported) and one.name == "low" for one in heard) and any(
                 isinstance(one, CommandUpdate) and one.client.startswith("battery ") and one.ok

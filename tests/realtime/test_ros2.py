@@ -16,7 +16,7 @@ from running_session import RunningSession, assert_sound, eventually, tcp_port
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.h26x import H264Decoder
-from pipelines.hand.hand_topics import unpack_status
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from pipelines.mission.tmtc_messages import SendK2aci
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.recording.metadata import METADATA, RecordingMetadata
@@ -28,11 +28,10 @@ from pipelines.recording.recorded_messages import (
 )
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.ros2.publications import publications_of, sources_of
+from pipelines.session.mission_messages import ROBOT_TOPIC
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topic_ends import unpack_state
-from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_TOPIC
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickState
 
@@ -238,14 +237,14 @@ class Robot:
         return eventually(lambda: self.readers[topic].latest_octets(), f"a sample of {topic}")
 
     def in_application(self):
-        status = unpack_status(self.newest(JOYSTICK_STATE_TOPIC))
+        status = JOYSTICK_STATE_TOPIC.unpack(self.newest(JOYSTICK_STATE_TOPIC))
         return status.state == JoystickState.APPLICATION
 
     def held(self):
-        return unpack_status(self.newest(JOYSTICK_STATE_TOPIC)).dead_man
+        return JOYSTICK_STATE_TOPIC.unpack(self.newest(JOYSTICK_STATE_TOPIC)).dead_man
 
     def place(self):
-        state = unpack_state(self.newest(ROBOT_TOPIC))
+        state = ROBOT_TOPIC.unpack(self.newest(ROBOT_TOPIC))
         return state.x_m, state.y_m
 
     def rests(self):
@@ -258,8 +257,10 @@ class Robot:
             return self.place() == pytest.approx(before, abs=1e-5)
 
         eventually(still, "the rest")
-        first = unpack_state(self.newest(ROBOT_TOPIC))
-        while (state := unpack_state(self.newest(ROBOT_TOPIC))).time_ns < first.time_ns + HOLD_NS:
+        first = ROBOT_TOPIC.unpack(self.newest(ROBOT_TOPIC))
+        while (
+            state := ROBOT_TOPIC.unpack(self.newest(ROBOT_TOPIC))
+        ).time_ns < first.time_ns + HOLD_NS:
             assert (state.x_m, state.y_m) == pytest.approx((first.x_m, first.y_m), abs=5e-5)
         return first.x_m, first.y_m
 

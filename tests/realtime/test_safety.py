@@ -8,9 +8,8 @@ import pytest
 from robot_tip import Tip
 from running_session import eventually, restarted
 
-from pipelines.hand.hand_topics import unpack_status
-from pipelines.session.mission_messages import RobotStatus, unpack
-from pipelines.session.topology import JOYSTICK_STATE_TOPIC, ROBOT_STATUS_TOPIC
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
+from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC
 from telepresence.haptics.device.states import JoystickState
 
 #: Cycles of the robot's loop that would show a motion.
@@ -41,7 +40,8 @@ class Watched:
 
     def newest(self, name):
         octets = eventually(self._readers[name].latest_octets, f"what {name} says")
-        return unpack(RobotStatus, octets) if name == "robot" else unpack_status(octets)
+        topic = ROBOT_STATUS_TOPIC if name == "robot" else JOYSTICK_STATE_TOPIC
+        return topic.unpack(octets)
 
     def stays_halted(self):
         """Whether the joystick waits for an order to start, and the robot does not move."""

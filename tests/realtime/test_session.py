@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 from running_session import assert_sound, eventually
 
-from pipelines.hand.hand_topics import unpack_status
-from pipelines.session.topology import JOYSTICK_STATE_TOPIC
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from telepresence.haptics.device.states import JoystickState
 
 WAY = ("frames_captured", "frames_encoded", "frames_sent", "frames_displayed")
@@ -124,7 +123,10 @@ def test_a_failed_calibration_fails_the_session(start, monkeypatch):
 
         def failed():
             octets = reader.latest_octets()
-            return octets and unpack_status(octets).state == JoystickState.CALIBRATION_ERROR
+            return (
+                octets
+                and JOYSTICK_STATE_TOPIC.unpack(octets).state == JoystickState.CALIBRATION_ERROR
+            )
 
         eventually(failed, "the error of the calibration")
     code, report = session.interrupt()

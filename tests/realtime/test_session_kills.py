@@ -11,7 +11,8 @@ import pytest
 from running_session import alive, assert_sound, eventually, free_pair, restarted, tcp_port
 
 from kontur_av.clock import MonotonicClock
-from pipelines.session.topology import ROBOT_TOPIC, SELECTED_TOPIC
+from pipelines.media.following import SELECTED_TOPIC
+from pipelines.session.mission_messages import ROBOT_TOPIC
 
 RECEIVED = [
     f"received/{name}"

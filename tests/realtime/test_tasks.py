@@ -9,8 +9,13 @@ from running_session import alive, eventually, restarted
 
 from pipelines.hand.haptic_trace import DEAD_MAN
 from pipelines.recording.recorded_messages import unpack_haptics
-from pipelines.session.mission_messages import ExperimentShown, RobotStatus, unpack
-from pipelines.session.topology import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
+from pipelines.session.mission_messages import (
+    MISSION_GROUND_TOPIC,
+    ROBOT_STATUS_TOPIC,
+    ExperimentShown,
+    RobotStatus,
+)
+from pipelines.session.topic_ends import TopicReader
 
 #: Rows in which what was led before may still settle.
 _SETTLE_ROWS = 200
@@ -50,17 +55,13 @@ class Watched:
 
     def __init__(self, bus):
         self._readers = {
-            ExperimentShown: bus.reader(MISSION_GROUND_TOPIC),
-            RobotStatus: bus.reader(ROBOT_STATUS_TOPIC),
+            ExperimentShown: TopicReader(bus, MISSION_GROUND_TOPIC),
+            RobotStatus: TopicReader(bus, ROBOT_STATUS_TOPIC),
         }
-        self._newest = {}
 
     def see(self, kind):
-        lease = self._readers[kind].latest()
-        if lease is not None:
-            with lease:
-                self._newest[kind] = unpack(kind, lease.octets())
-        return self._newest.get(kind)
+        self._readers[kind].latest()
+        return self._readers[kind].newest
 
     def wait_for_telepresence(self, run):
         def there():

@@ -1,77 +1,151 @@
-"""A setup as the text of a TOML file, with every field. A core."""
+"""A setup as a file has it. Its fields derive from those of `Setup`. A core.
 
-from collections.abc import Iterator
-from dataclasses import fields
+In a file rates are in kbit/s, sizes are texts like "640x480", the radio is a name, and a link is
+the length of its frames.
+"""
 
-from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, make_dataclass, replace
+from types import UnionType
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from kontur_av.media import parse_size
+from pipelines.session.setup.table import RtcLeg, Setup, VideoStream, VoiceStream
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.radio.profile import RadioProfile
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Link:
+    frame_octets: int | None = None
+
+
+def _file_kind(kind: type) -> type[Any]:
+    """The dataclass of what a file has for a `kind`."""
+    hints = get_type_hints(kind)
+    rows = [_file_field(each, hints[each.name]) for each in fields(kind)]
+    rows = [row for row in rows if row[0] != "height" and (row[0] != "name" or kind is Setup)]
+    return make_dataclass(f"{kind.__name__}File", rows, frozen=True, kw_only=True)
+
+
+def _file_field(of: Field[Any], hint: Any) -> tuple[str, Any, Any]:
+    """Name, type and default of what a file has for a field."""
+    name, default = of.name, of.default
+    inner = get_args(hint)[0] if get_origin(hint) is UnionType else hint
+    if name.endswith("_bps"):
+        name, hint = _kbps(name), float
+        default = default if default is MISSING else default / 1000
+    elif name == "width":
+        name, hint, default = "size", str, f"{VideoStream.width}x{VideoStream.height}"
+    elif name == "coded":
+        hint, default = str, "auto"
+    elif inner is LinkProfile:
+        hint, default = _Link, _Link()
+    elif inner is RadioProfile or get_origin(hint) is Literal:
+        hint = str
+    elif inner in _KINDS:
+        hint = _KINDS[inner] | None if default is None else _KINDS[inner]
+    kept: Any = {"default": default, "default_factory": of.default_factory}
+    kept = {key: value for key, value in kept.items() if value is not MISSING}
+    return name, hint, field(**kept, metadata=of.metadata)
+
+
+def _kbps(name: str) -> str:
+    return f"{name.removesuffix('_bps')}_kbps"
+
+
+_KINDS: Mapping[Any, type[Any]] = {}
+_KINDS = {kind: _file_kind(kind) for kind in (VideoStream, VoiceStream, RtcLeg)}
+#: What a setup's file holds; its fields are those of `Setup`.
+SETUP_FILE = _file_kind(Setup)
+
+
+def setup_values(entry: Any, kind: type = Setup, name: str = "") -> Mapping[str, Any]:
+    """The fields of a `kind` by what its file has; the radio is still a name.
+
+    name: of the stream. Raises ConfigError for a size that is none.
+    """
+    values: dict[str, object] = {}
+    hints = get_type_hints(kind)
+    value: Any
+    for each in fields(kind):
+        key, hint = each.name, hints[each.name]
+        inner = get_args(hint)[0] if get_origin(hint) is UnionType else hint
+        if key in ("width", "height"):
+            value = parse_size(entry.size, f"{name}.size")[key == "height"]
+        elif key == "coded":
+            value = None if entry.coded == "auto" else parse_size(entry.coded, f"{name}.coded")
+        elif key == "name" and name:
+            value = name
+        else:
+            value = getattr(entry, _kbps(key) if key.endswith("_bps") else key)
+            if key.endswith("_bps"):
+                value = round(value * 1000)
+            elif isinstance(value, _Link):
+                value = _profile(UPLINK if key == "uplink" else DOWNLINK, value.frame_octets)
+            elif inner in _KINDS and value is not None:
+                value = inner(**setup_values(value, inner, key))
+        values[key] = value
+    return values
+
+
+def _profile(profile: LinkProfile, frame_octets: int | None) -> LinkProfile:
+    octets = profile.frame_octets if frame_octets is None else frame_octets
+    # A longer frame has room for the standard's own pointer, and needs it.
+    short = profile.pointer_in_vcid and octets <= profile.frame_octets
+    return replace(profile, frame_octets=octets, pointer_in_vcid=short)
+
+
+def setup_table(setup: Setup) -> Mapping[str, Any]:
+    """Every field of a setup as its file has it. A radio that is not built in is only its name."""
+    radio = setup.radio_profile.name if isinstance(setup.radio, RadioProfile) else setup.radio
+    sources = {name: setup.source(name) for name in setup.inputs}
+    return {**_written(setup), "radio": radio, "sources": sources}
+
+
+def _written(thing: Any) -> Mapping[str, Any]:
+    table: dict[str, object] = {}
+    for each in fields(thing):
+        key, value = each.name, getattr(thing, each.name)
+        if value is None or key == "height" or (key == "name" and not isinstance(thing, Setup)):
+            continue
+        if key == "width":
+            key, value = "size", f"{thing.width}x{thing.height}"
+        elif key == "coded":
+            value = f"{value[0]}x{value[1]}"
+        elif key.endswith("_bps"):
+            key, value = _kbps(key), value / 1000
+        elif isinstance(value, LinkProfile):
+            value = {"frame_octets": value.frame_octets}
+        elif hasattr(value, "__dataclass_fields__"):
+            value = _written(value)
+        table[key] = value
+    return table
 
 
 def setup_toml(setup: Setup) -> str:
-    """Return a text that `setup_file` reads as this setup.
-
-    A radio profile that is not built in is there by its name only, with its fields as a comment.
-    """
-    return "\n".join([*_plain(setup), *_tables(setup), ""])
-
-
-def _plain(setup: Setup) -> Iterator[str]:
-    radio = setup.radio_profile
-    yield f"# radio: {radio!r}".replace("\n", " ")
-    for each in fields(Setup):
-        value = getattr(setup, each.name)
-        if each.name == "radio":
-            value = value if isinstance(value, str) else radio.name
-        if isinstance(value, str | bool | int | float | tuple):
-            yield f"{each.name} = {_toml(value)}"
+    """Return a text that `setup_file` reads as this setup, with the radio's fields as a comment."""
+    radio = f"# radio: {setup.radio_profile!r}".replace("\n", " ")
+    table = setup_table(setup)
+    plain = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
+    lines = [radio, *_lines(plain)]
+    for key, value in table.items():
+        if value and isinstance(value, Mapping):
+            lines += [f"\n[{key}]", *_lines(value)]
+    return "\n".join([*lines, ""])
 
 
-def _tables(setup: Setup) -> Iterator[str]:
-    for stream in setup.streams:
-        yield f"\n[{stream.name}]"
-        yield from _video(stream) if isinstance(stream, VideoStream) else _voice(stream)
-    if setup.rtc is not None:
-        yield "\n[rtc]"
-        for name in ("video", "voice", "taken"):
-            yield f"{name}_kbps = {getattr(setup.rtc, f'{name}_bps') / 1000!r}"
-    for name in ("uplink", "downlink"):
-        yield f"\n[{name}]\nframe_octets = {getattr(setup, name).frame_octets}"
-    yield "\n[safety]"
-    for each in fields(setup.safety):
-        yield f"{each.name} = {float(getattr(setup.safety, each.name))!r}"
-    if setup.region_points:
-        yield "\n[region_points]"
-        for camera, points in setup.region_points.items():
-            yield f"{_text(camera)} = {[[float(x), float(y)] for x, y in points]}"
-    if setup.inputs:
-        yield "\n[sources]"
-        for name in setup.inputs:
-            yield f"{name} = {_text(setup.source(name))}"
+def _lines(table: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in table.items():
+        yield f"{key if key.isidentifier() and key.isascii() else _toml(key)} = {_toml(value)}"
 
 
-def _video(stream: VideoStream) -> Iterator[str]:
-    yield from _voice(stream)
-    yield f'size = "{stream.width}x{stream.height}"'
-    if stream.coded is not None:
-        yield f'coded = "{stream.coded[0]}x{stream.coded[1]}"'
-    yield f'codec = "{stream.codec}"'
-    yield f"fps = {stream.fps}"
-    yield f"prefer = {_text(stream.prefer)}"
-
-
-def _voice(stream: VideoStream | VoiceStream) -> Iterator[str]:
-    yield f"cap_kbps = {stream.cap_bps / 1000!r}"
-    if stream.stale_after_ms is not None:
-        yield f"stale_after_ms = {float(stream.stale_after_ms)!r}"
-
-
-def _toml(value: str | float | tuple[str, ...]) -> str:
+def _toml(value: object) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, bool):
         return str(value).lower()
-    return _text(value) if isinstance(value, str) else repr(value)
-
-
-def _text(text: str) -> str:
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    if not isinstance(value, str):
+        return repr(value)
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'

@@ -10,12 +10,7 @@ from math import ceil
 from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.codecs.coding import (
-    PREFERENCES,
-    Preference,
-    coded_rate_for,
-    coded_size_for,
-)
+from kontur_av.codecs.coding import PREFERENCES, Preference, coded_rate_for, coded_size_for
 from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.errors import ConfigError, one_of, refused
 from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
@@ -232,11 +227,15 @@ class Setup:
 
     name: str
     uplink_video: VideoStream
-    cameras: tuple[str, ...]
+    cameras: tuple[str, ...] = field(
+        metadata={"like": 'a list of names, like ["stereo", "static"]'}
+    )
     uplink_voice: VoiceStream | None = None
     downlink_video: VideoStream | None = None
     downlink_voice: VoiceStream | None = None
-    sources: Mapping[str, str] = field(default_factory=dict)
+    sources: Mapping[str, str] = field(
+        default_factory=dict, metadata={"like": 'a table of texts, like left = "v4l2:/dev/video0"'}
+    )
     uplink: LinkProfile = UPLINK
     downlink: LinkProfile = DOWNLINK
     radio: RadioProfile | str = NO_RADIO
@@ -251,7 +250,10 @@ class Setup:
     safety: SafetyLimits = field(default_factory=SafetyLimits)
     recorded_cameras: RecordedCameras = "idle"
     region: RegionChoice = "off"
-    region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(
+        default_factory=dict,
+        metadata={"like": "a table of points, like wrist = [[x, y], [x, y], [x, y], [x, y]]"},
+    )
     #: Below 32768, where Linux takes the ports of sockets that ask for any port.
     base_port: int = 27_000
 

@@ -4,10 +4,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 
+from kontur_av.streams.coded_unit import CodedUnit
+from kontur_av.streams.lipsync import Lag
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology.topics import Topic, displayed_topic, page_topic, received_topic
+from pipelines.session.topology.topics import (
+    AnyTopic,
+    Topic,
+    displayed_topic,
+    page_topic,
+    received_topic,
+)
 from telepresence.link.flows import Flow
+from telepresence.link.gateway import Backlog
 from telepresence.link.profile import LinkProfile
 
 #: Real-time priorities. The 1 kHz loops come first, then voices: a late voice needs a larger
@@ -16,6 +25,9 @@ from telepresence.link.profile import LinkProfile
 LOOP_PRIORITY, VOICE_PRIORITY, RECORDER_PRIORITY = 10, 5, 1
 #: Below all others, for processes that only show a session to other programs.
 WATCHER_PRIORITY = -1
+
+#: Of each frame of the radio link its instant in ns, session clock, and its octets.
+Frames = list[tuple[int, bytes]]
 
 
 class Stage(IntEnum):
@@ -45,11 +57,13 @@ class Kind(Enum):
     MAINTENANCE = "maintenance"
 
 
-def backlog_topic(direction: Direction) -> Topic:
-    return Topic(f"link/{direction.value}", "what waits in the gateway, state of the radio")
+def backlog_topic(direction: Direction) -> Topic[Backlog]:
+    return Topic(
+        f"link/{direction.value}", Backlog, "what waits in the gateway, state of the radio"
+    )
 
 
-def given(condition: bool, *topics: Topic) -> tuple[Topic, ...]:
+def given(condition: bool, *topics: AnyTopic) -> tuple[AnyTopic, ...]:
     """The topics, if the condition holds; else none."""
     return topics if condition else ()
 
@@ -80,8 +94,8 @@ class ProcessRow:
     stoppable: bool = True
     arguments: Mapping[str, object] = field(default_factory=dict)
     priority: int = 0
-    reads: tuple[Topic, ...] = ()
-    writes: tuple[Topic, ...] = ()
+    reads: tuple[AnyTopic, ...] = ()
+    writes: tuple[AnyTopic, ...] = ()
     ports: tuple[int, ...] = ()
     powered: bool = False
 
@@ -135,22 +149,23 @@ class MediaRow(StreamRow):
     inputs: tuple[str, ...]
     display: str
     rtcp: str
-    backlog_topic: Topic
+    backlog_topic: Topic[Backlog]
 
     @property
-    def received_topic(self) -> Topic:
+    def received_topic(self) -> Topic[None]:
         return received_topic(self.name)
 
     @property
-    def coded_topic(self) -> Topic:
-        video = self.kind is Kind.VIDEO
-        sample = "received access unit" if video else "Opus packet as played"
-        return Topic(f"coded/{self.name}", sample)
+    def coded_topic(self) -> AnyTopic:
+        if self.kind is Kind.VIDEO:
+            return Topic(f"coded/{self.name}", CodedUnit, "received access unit")
+        return Topic(f"coded/{self.name}", bytes, "Opus packet as played")
 
     @property
-    def sent_topic(self) -> Topic:
-        kind = "access unit" if self.kind is Kind.VIDEO else "Opus packet"
-        return Topic(f"sent/{self.name}", f"{kind} as it was sent")
+    def sent_topic(self) -> AnyTopic:
+        if self.kind is Kind.VIDEO:
+            return Topic(f"sent/{self.name}", CodedUnit, "access unit as it was sent")
+        return Topic(f"sent/{self.name}", bytes, "Opus packet as it was sent")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,16 +178,16 @@ class VideoRow(MediaRow):
         return f"feedback_{self.name}"
 
     @property
-    def displayed_topic(self) -> Topic:
+    def displayed_topic(self) -> Topic[None]:
         return displayed_topic(self.name)
 
     @property
-    def lag_topic(self) -> Topic:
-        return Topic(f"lag/{self.name}", "how late the newest picture was shown")
+    def lag_topic(self) -> Topic[Lag]:
+        return Topic(f"lag/{self.name}", Lag, "how late the newest picture was shown")
 
     @property
-    def decoded_topic(self) -> Topic:
-        return Topic(f"decoded/{self.name}", "decoded picture in its coded size")
+    def decoded_topic(self) -> Topic[None]:
+        return Topic(f"decoded/{self.name}", None, "decoded picture in its coded size")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,16 +200,16 @@ class InputRow:
     kind: Kind
 
     @property
-    def topic(self) -> Topic:
+    def topic(self) -> Topic[None]:
         kind = "picture" if self.kind is Kind.VIDEO else "20 ms of sound"
-        return Topic(f"input/{self.name}", f"{kind} as captured")
+        return Topic(f"input/{self.name}", None, f"{kind} as captured")
 
     @property
-    def preview_topic(self) -> Topic:
-        return Topic(f"preview/{self.name}", "small picture, 5 a second")
+    def preview_topic(self) -> Topic[None]:
+        return Topic(f"preview/{self.name}", None, "small picture, 5 a second")
 
     @property
-    def page_topic(self) -> Topic:
+    def page_topic(self) -> Topic[None]:
         return page_topic(self.name, "picture" if self.kind is Kind.VIDEO else "20 ms of sound")
 
 
@@ -203,7 +218,7 @@ class CameraRow:
     """A camera that can be selected for the uplink video: its topic, and the inputs in it."""
 
     name: str
-    topic: Topic
+    topic: Topic[None]
     inputs: tuple[str, ...]
 
 
@@ -221,22 +236,24 @@ class LinkRow:
     port: int
 
     @property
-    def backlog_topic(self) -> Topic:
+    def backlog_topic(self) -> Topic[Backlog]:
         return backlog_topic(self.direction)
 
     @property
-    def sent_frames_topic(self) -> Topic:
-        return Topic(f"frames/{self.direction.value}/sent", "20 ms of frames as sent")
+    def sent_frames_topic(self) -> Topic[Frames]:
+        return Topic(f"frames/{self.direction.value}/sent", Frames, "20 ms of frames as sent")
 
     @property
-    def received_frames_topic(self) -> Topic:
-        return Topic(f"frames/{self.direction.value}/received", "20 ms of frames as received")
+    def received_frames_topic(self) -> Topic[Frames]:
+        return Topic(
+            f"frames/{self.direction.value}/received", Frames, "20 ms of frames as received"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class TopicRow:
     """A topic in shared memory."""
 
-    name: Topic
+    name: AnyTopic
     writer: str
     readers: tuple[str, ...]

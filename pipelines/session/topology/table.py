@@ -8,6 +8,7 @@ from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import PORTS, Setup
 from pipelines.session.topology.rows import (
     CameraRow,
+    Frames,
     HapticRow,
     InputRow,
     LinkRow,
@@ -25,7 +26,7 @@ from pipelines.session.topology.streams import (
     partner_ports,
     stream_rows,
 )
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topology.topics import AnyTopic, Topic
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import SIMULATED
 from telepresence.link.flows import Flow
@@ -121,7 +122,7 @@ class Topology:
             for name in row.writes
         )
 
-    def reads(self, process: str) -> tuple[Topic, ...]:
+    def reads(self, process: str) -> tuple[AnyTopic, ...]:
         """The topics that a process reads, as far as anything writes them."""
         return tuple(name for name in self.process(process).reads if name in self._topics)
 
@@ -147,7 +148,7 @@ class Topology:
         """Return the port on which a segment's gateway receives frames."""
         return self.link(segment.peer.transmits).port
 
-    def frame_topics(self, segment: Segment) -> dict[Direction, Topic]:
+    def frame_topics(self, segment: Segment) -> dict[Direction, Topic[Frames]]:
         """Return the topics with all frames that a segment's gateway handles."""
         out, back = self.link(segment.transmits), self.link(segment.peer.transmits)
         return {back.direction: back.received_frames_topic, out.direction: out.sent_frames_topic}

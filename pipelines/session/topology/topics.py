@@ -1,11 +1,18 @@
-"""The names of processes, and the topics in shared memory: each with what one sample of it is.
+"""The names of processes, and topics in shared memory: each with type and words of one sample.
 
-Topics of a stream, an input or a link are properties of its row. See `rows.py`.
+Topics of a stream, an input or a link are properties of its row (`rows.py`). All others are
+declared beside the type of their samples.
 """
 
-from typing import Self
+from typing import Any, Generic, Self, TypeVar, cast
 
+import msgspec
+
+from kontur_av.errors import ProtocolError, refused
+from kontur_av.returned import plain
+from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.session.setup.segments import Segment
+from telepresence.malformed import MALFORMED
 
 ROBOT, JOYSTICK = "robot", "joystick"
 #: The arm that only a partner drives, and who hands the robot over.
@@ -39,72 +46,58 @@ def component_process(name: str) -> str:
     return f"telemetry_{name}"
 
 
-class Topic(str):
-    """The name of a topic. sample: one sample of it, in words."""
+T = TypeVar("T")
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=plain)
 
-    __slots__ = ("sample",)
-    sample: str
 
-    def __new__(cls, name: str, sample: str) -> Self:
+class Topic(str, Generic[T]):
+    """The name of a topic in shared memory.
+
+    type: of a sample, which travels as MessagePack; `bytes`: octets as they are; None: pictures or
+    sound, read by lease. what: one sample, in words.
+    """
+
+    __slots__ = ("_decoder", "type", "what")
+    type: Any
+    what: str
+    _decoder: Any
+
+    def __new__(cls, name: str, type: Any, what: str) -> Self:
         topic = super().__new__(cls, name)
-        topic.sample = sample
+        topic.type, topic.what, topic._decoder = type, what, None
         return topic
 
-    def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
-        return str(self), self.sample
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Topic, (str(self), self.type, self.what)
+
+    @property
+    def sample(self) -> str:
+        """Type and words of one sample."""
+        named = None if self.type in (None, bytes) else getattr(self.type, "__name__", None)
+        return f"{named}: {self.what}" if named else self.what
+
+    def pack(self, sample: T) -> bytes:
+        """Return a sample as octets."""
+        if isinstance(sample, CodedUnit):
+            return sample.pack()
+        return sample if isinstance(sample, bytes) else _ENCODER.encode(sample)
+
+    def unpack(self, octets: bytes) -> T:
+        """Return the sample of these octets; ProtocolError for anything else."""
+        if self.type is bytes:
+            return cast(T, octets)
+        if self.type is CodedUnit:
+            return cast(T, CodedUnit.unpack(octets))
+        if self._decoder is None:
+            self._decoder = msgspec.msgpack.Decoder(self.type)
+        with refused(self, *MALFORMED, raising=ProtocolError):
+            return cast(T, self._decoder.decode(octets))
 
 
-# The robot and the joystick.
-#: The state of the robot, from which the built-in scenes draw.
-ROBOT_TOPIC = Topic("robot/state", "instant, place of the tip, force and contact")
-#: See `pipelines.session.mission_messages`.
-ROBOT_COMMAND_TOPIC = Topic("robot/command", "a telecommand to the robot controller")
-ROBOT_ORDER_TOPIC = Topic("robot/order", "the kernel's order to the robot controller")
-ROBOT_STATUS_TOPIC = Topic(
-    "robot/status", "power, mode and fault of the robot, answer to a command"
-)
+AnyTopic = Topic[Any]
+STEREO_TOPIC = Topic[None]("camera/stereo", None, "two pictures side by side")
 #: The newest message with the wall that the joystick renders, where the hand is mediated.
-WALL_TOPIC = Topic("received/wall", "message with the wall that the robot touched")
-#: What the operator's page and the joystick tell each other; see `pipelines.hand.hand_topics`.
-HAND_INPUT_TOPIC = Topic("hand/input", "where a page's hand wants the handle, dead-man button")
-ROS2_HAND_TOPIC = Topic("hand/ros2", "the same of a ROS 2 node's hand")
-HAND_REQUEST_TOPIC = Topic("hand/request", "a person's command to the joystick")
-JOYSTICK_COMMAND_TOPIC = Topic("joystick/command", "a telecommand to the joystick")
-JOYSTICK_STATE_TOPIC = Topic("joystick/state", "state of the joystick, answer to a command")
-#: Both ends' haptic samples at 1 kHz; see `pipelines.hand.haptic_trace`.
-JOYSTICK_TRACE_TOPIC = Topic("haptic/joystick", "20 ms of the handle: place, force, energy")
-ROBOT_TRACE_TOPIC = Topic("haptic/robot", "20 ms of the tip: place, force, energy")
-#: Who is to drive, and who does: `pipelines.hand.hand_topics`.
-ARM_ORDER_TOPIC = Topic("arm/order", "who is to drive the robot")
-ARM_STATE_TOPIC = Topic("arm/state", "who drives the robot, and refused datagrams")
-#: The arm that only a partner drives.
-SECOND_ROBOT_TOPIC = Topic(
-    "robot/second", "state of the second arm: place of the tip, force and contact"
-)
-
-# Cameras.
-#: The camera that the sender of the uplink video must follow, and the choice that it has confirmed.
-SELECTED_TOPIC = Topic("selected/uplink_video", "name of the selected camera, number of the choice")
-FOLLOWED_TOPIC = Topic("followed/uplink_video", "number of the choice that the sender follows")
-#: The merged picture of the robot's two cameras.
-HALVES_TOPIC = Topic("camera/halves", "when the older half of the merged picture was captured")
-STEREO_TOPIC = Topic("camera/stereo", "two pictures side by side")
-
-# The mission; see `pipelines.session.mission_messages`.
-MISSION_CAMERA_TOPIC = Topic("mission/camera", "the camera that a task selects")
-MISSION_GROUND_TOPIC = Topic("mission/ground", "phase, task, steps and runs of the experiment")
-MISSION_PANEL_TOPIC = Topic("mission/panel", "what the mission control panel shows")
-MISSION_LEDS_TOPIC = Topic("mission/leds", "what the LED panel shows")
-#: What a trainer wants to happen: `pipelines.session.training.Exercises`.
-TRAINER_TOPIC = Topic("trainer/exercises", "until when a trainer's exercises last")
-#: By segment: what its end of telecommands and telemetry has to say, one `TmtcNews` a sample.
-TMTC_TOPICS = {
-    segment: Topic(
-        f"tmtc/{segment.value}", "reports, verification, what applications are asked for"
-    )
-    for segment in Segment
-}
-
+WALL_TOPIC = Topic[bytes]("received/wall", bytes, "message with the wall that the robot touched")
 
 TELECOMMAND_KIND, TELEMETRY_KIND = "telecommand", "telemetry"
 #: What becomes of a packet at an end, in words.
@@ -115,54 +108,45 @@ _PACKET_WAYS = {
 }
 
 
-def packet_topics(segment: Segment) -> dict[tuple[str, str], Topic]:
+def packet_topics(segment: Segment) -> dict[tuple[str, str], Topic[bytes]]:
     """By kind and way: the topics with the packets that an end handles."""
     return {
-        (kind, way): Topic(f"{short}/{segment.value}/{way}", f"{kind} packet {words}")
+        (kind, way): Topic(f"{short}/{segment.value}/{way}", bytes, f"{kind} packet {words}")
         for short, kind in (("tc", TELECOMMAND_KIND), ("tm", TELEMETRY_KIND))
         for way, words in _PACKET_WAYS.items()
     }
 
 
-# The radio link.
-def gateway_topic(segment: Segment) -> Topic:
-    """The figures of a segment's gateway: `telepresence.link.link_metrics.GatewayMetrics`."""
-    return Topic(f"figures/{segment.value}", "what the gateway counts, ten times a second")
-
-
-def link_state_topic(segment: Segment) -> Topic:
-    """What telemetry says of a segment's gateway: `pipelines.link.link_metrics.link_values`."""
-    return Topic(f"link_state/{segment.value}", "what telemetry says of the gateway")
-
-
 # Streams of pictures and voices.
-def received_topic(stream: str) -> Topic:
-    return Topic(f"received/{stream}", "decoded picture or sound")
+def received_topic(stream: str) -> Topic[None]:
+    return Topic(f"received/{stream}", None, "decoded picture or sound")
 
 
-def page_topic(name: str, kind: str = "picture or sound") -> Topic:
-    return Topic(f"page/{name}", f"{kind} of a browser page")
+def page_topic(name: str, kind: str = "picture or sound") -> Topic[None]:
+    return Topic(f"page/{name}", None, f"{kind} of a browser page")
 
 
-def displayed_topic(stream: str) -> Topic:
-    return Topic(f"displayed/{stream}", "picture, marked where it is stale")
+def displayed_topic(stream: str) -> Topic[None]:
+    return Topic(f"displayed/{stream}", None, "picture, marked where it is stale")
 
 
 # The leg to a partner across the Internet. Its streams:
 RTC_VIDEO, RTC_SPEECH, RTC_CAMERA, RTC_VOICE = "rtc_video", "rtc_speech", "rtc_camera", "rtc_voice"
 #: What is coded for the partner.
-RTC_VIDEO_TOPIC = Topic(f"sent/{RTC_VIDEO}", "access unit for the partner")
-RTC_SPEECH_TOPIC = Topic(f"sent/{RTC_SPEECH}", "Opus packet for the partner")
-#: How it is to be coded: rate, and the number of key pictures asked for.
-RTC_REQUEST_TOPIC = Topic("rtc/wish", "rate and key pictures that the partner asks for")
+RTC_VIDEO_TOPIC = Topic[CodedUnit](f"sent/{RTC_VIDEO}", CodedUnit, "access unit for the partner")
+RTC_SPEECH_TOPIC = Topic[bytes](f"sent/{RTC_SPEECH}", bytes, "Opus packet for the partner")
 #: The partner's access units as they come, before they are decoded.
-RTC_UNITS_TOPIC = Topic("rtc/units", "access unit of the partner")
+RTC_UNITS_TOPIC = Topic[CodedUnit]("rtc/units", CodedUnit, "access unit of the partner")
 #: What came from the partner, as it came and decoded.
-RTC_CODED_CAMERA_TOPIC = Topic(f"coded/{RTC_CAMERA}", "access unit of the partner, with its size")
-RTC_DECODED_CAMERA_TOPIC = Topic(
-    f"decoded/{RTC_CAMERA}", "picture of the partner in its coded size"
+RTC_CODED_CAMERA_TOPIC = Topic[CodedUnit](
+    f"coded/{RTC_CAMERA}", CodedUnit, "access unit of the partner, with its size"
+)
+RTC_DECODED_CAMERA_TOPIC = Topic[None](
+    f"decoded/{RTC_CAMERA}", None, "picture of the partner in its coded size"
 )
 RTC_CAMERA_TOPIC = received_topic(RTC_CAMERA)
-RTC_CODED_VOICE_TOPIC = Topic(f"coded/{RTC_VOICE}", "Opus packet of the partner as played")
+RTC_CODED_VOICE_TOPIC = Topic[bytes](
+    f"coded/{RTC_VOICE}", bytes, "Opus packet of the partner as played"
+)
 RTC_VOICE_TOPIC = received_topic(RTC_VOICE)
 RTC_DISPLAYED_TOPIC = displayed_topic(RTC_CAMERA)

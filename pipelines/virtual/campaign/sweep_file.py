@@ -20,7 +20,7 @@ import msgspec
 
 from kontur_av.errors import ConfigError, refused
 from pipelines.report.report_file import write_result
-from pipelines.session.setup.setup_file import setup_from_table, setup_table
+from pipelines.session.setup.setup_file import setup_from_table, table_of_setup
 from pipelines.session.setup.table import (
     GROUND_MIC,
     NO_RADIO,
@@ -151,7 +151,7 @@ def _built(setup: str, values: Mapping[str, object]) -> Setup:
     start_s = values.pop(_RADIO_START, None)
     if isinstance(start_s, bool) or not isinstance(start_s, int | float | None):
         raise ConfigError(f"{_RADIO_START} must be a number, not {start_s!r}")
-    table = deepcopy(dict(setup_table(setup)))
+    table = deepcopy(dict(table_of_setup(setup)))
     changes = {}
     radio = values.get("radio")
     if isinstance(radio, Mapping):

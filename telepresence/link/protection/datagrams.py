@@ -153,7 +153,7 @@ DATA_OCTETS = SEGMENT_OCTETS - SEGMENT_OVERHEAD_OCTETS
 #: Longest stream of one side. A handshake takes 2 kB.
 STREAM_OCTETS = 16384
 #: Segments that wait for one before them.
-_HELD = 16
+MOST_EARLY = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,66 +201,6 @@ class SegmentCodec:
         if sender == NO_NONCE or max(acknowledged, offset + len(data)) > STREAM_OCTETS:
             return "malformed"
         return HandshakeSegment(kind == KNOCK, sender, receiver, acknowledged, offset, data)
-
-
-class OutgoingStream:
-    """The octets that one end of a handshake sends, until they are acknowledged."""
-
-    def __init__(self) -> None:
-        self._octets = b""
-        self._acknowledged = 0
-        self._sent = 0
-
-    @property
-    def outstanding(self) -> bool:
-        """Whether octets are not acknowledged yet."""
-        return self._acknowledged < len(self._octets)
-
-    def add(self, octets: bytes) -> None:
-        self._octets += octets
-
-    def handle_acknowledged(self, octets: int) -> bool:
-        """The peer has this many octets; whether that is news, and possible."""
-        if not self._acknowledged < octets <= len(self._octets):
-            return False
-        self._acknowledged = octets
-        self._sent = max(self._sent, octets)
-        return True
-
-    def repeat(self) -> None:
-        """Send again from the first octet that is not acknowledged."""
-        self._sent = self._acknowledged
-
-    def next_piece(self) -> tuple[int, bytes] | None:
-        """Return the next (offset, data) to send; None if all has been sent."""
-        if self._sent >= len(self._octets):
-            return None
-        offset = self._sent
-        data = self._octets[offset : offset + DATA_OCTETS]
-        self._sent += len(data)
-        return offset, data
-
-
-class IncomingStream:
-    """Puts the segments of a stream in order. received: octets that have come without a gap."""
-
-    def __init__(self) -> None:
-        self.received = 0
-        self._held: dict[int, bytes] = {}
-
-    def handle_piece(self, offset: int, data: bytes) -> bytes:
-        """Return what can be read now that this piece has come; often nothing."""
-        if offset > self.received:
-            if len(self._held) < _HELD:
-                self._held[offset] = data
-            return b""
-        ready = data[self.received - offset :]
-        self.received += len(ready)
-        while self._held and (first := min(self._held)) <= self.received:
-            more = self._held.pop(first)[self.received - first :]
-            self.received += len(more)
-            ready += more
-        return ready
 
 
 def _code_key(sender: MachineIdentity, receiver: MachineIdentity) -> bytes:

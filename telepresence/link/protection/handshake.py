@@ -14,13 +14,14 @@ from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.bucket import Allowance
+from telepresence.link.octet_streams import IncomingOctets, OutgoingOctets
 from telepresence.link.protection.agreement import AgreedKeys, Agreement, AgreementRun
 from telepresence.link.protection.datagrams import (
+    DATA_OCTETS,
+    MOST_EARLY,
     NO_NONCE,
     NONCE_OCTETS,
     HandshakeSegment,
-    IncomingStream,
-    OutgoingStream,
     SegmentCodec,
 )
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
@@ -165,7 +166,7 @@ class Handshake:
                 self._knock_ns = now_ns + self._repeat_ns
                 self._repeat_ns = min(2 * self._repeat_ns, LONGEST_REPEAT_NS)
         elif attempt.wake_ns is not None and now_ns >= attempt.wake_ns:
-            attempt.outgoing.repeat()
+            attempt.outgoing.handle_lost(0, attempt.outgoing.sent)
             attempt.repeat_ns = min(2 * attempt.repeat_ns, LONGEST_REPEAT_NS)
             attempt.wake_ns = None
             self._send(attempt, now_ns, say_something=True)
@@ -243,7 +244,7 @@ class Handshake:
             attempt.ready = not self._agreement.client
             self.wanted = False
             self._events.append(KeysAgreed(run.keys(), attempt.ready, attempt.source))
-        elif run.complete and not attempt.ready and not attempt.outgoing.outstanding:
+        elif run.complete and not attempt.ready and attempt.all_acknowledged:
             attempt.ready = True
             self._events.append(PeerReady())
         # Acknowledged when it has been read, because it tells the peer that the keys are here.
@@ -254,14 +255,14 @@ class Handshake:
     def _send(self, attempt: "_Attempt", now_ns: int, *, say_something: bool = False) -> None:
         """Send the pieces that are due; with `say_something` an empty one if there are none."""
         sent = False
-        while (piece := attempt.outgoing.next_piece()) is not None:
+        while (piece := attempt.outgoing.next_piece(DATA_OCTETS)) is not None:
             self._queue.append((self._segment(attempt.peer, *piece), attempt.source))
             sent = True
         if say_something and not sent:
             # Who has heard no octet of the peer asks: the first answer may have been lost.
             unheard = not attempt.incoming.received
             self._queue.append((self._segment(attempt.peer, knock=unheard), attempt.source))
-        if attempt.run.complete and not attempt.outgoing.outstanding:
+        if attempt.run.complete and attempt.all_acknowledged:
             attempt.wake_ns = None
         elif sent or attempt.wake_ns is None:
             # Not for a datagram without news: the peer's repetitions would put off the own ones.
@@ -286,8 +287,8 @@ class _Attempt:
         self.peer = peer
         self.run = run
         self.source = source
-        self.outgoing = OutgoingStream()
-        self.incoming = IncomingStream()
+        self.outgoing = OutgoingOctets()
+        self.incoming = IncomingOctets(MOST_EARLY)
         self.end_ns = now_ns + ATTEMPT_NS
         #: When a record of TLS was read last.
         self.read_ns = now_ns
@@ -297,3 +298,7 @@ class _Attempt:
         self.wake_ns: int | None = None
         self.repeat_ns = FIRST_REPEAT_NS
         self.ready = False
+
+    @property
+    def all_acknowledged(self) -> bool:
+        return self.outgoing.base == self.outgoing.end

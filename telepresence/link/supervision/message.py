@@ -19,7 +19,7 @@ from telepresence.link.flows import Flow
 from telepresence.link.profile import LinkProfile
 
 #: Version of the link's format and of its supervision.
-VERSION = 3
+VERSION = 4
 
 _LARGEST_RATE_KBPS = 0xFFFF
 
@@ -109,7 +109,6 @@ class SupervisionTiming:
 
 
 MESSAGE_OCTETS = 12
-CONTEXTS = 4
 #: Bits of a fresh number.
 NUMBER_BITS = 24
 
@@ -159,7 +158,6 @@ class SupervisionMessage(NamedTuple):
     signal: good frames of the peer arrive.
     application: data of the peer's applications has arrived since the contact or the last reset.
     fresh: some has arrived recently. sending: some has been sent recently.
-    contexts: of ALIVE and CONFIRM, else zeros.
     rates_kbps: of CONFIGURE and REJECT (way out, way in), else zeros.
     number, echo: of HELLO, 24 bits each, else 0; it has no `heard`.
     """
@@ -175,13 +173,12 @@ class SupervisionMessage(NamedTuple):
     boot_id: int
     heard: int
     digest: int
-    contexts: tuple[int, int, int, int] = (0, 0, 0, 0)
     rates_kbps: tuple[int, int] = (0, 0)
     number: int = 0
     echo: int = 0
 
 
-#: Kinds of messages with rates in the place of contexts.
+#: Kinds of messages with rates.
 KINDS_WITH_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
 
 
@@ -193,14 +190,13 @@ def pack_message(message: SupervisionMessage) -> bytes:
     if message.kind is MessageKind.HELLO:
         number, echo = message.number.to_bytes(3, "big"), message.echo.to_bytes(3, "big")
         return _HELLO.pack(first, flags, message.boot_id, message.digest, number, echo)
-    has_rates = message.kind in KINDS_WITH_RATES
     return _LAYOUT.pack(
         first,
         flags,
         message.boot_id,
         message.heard,
         message.digest,
-        _RATES.pack(*message.rates_kbps) if has_rates else bytes(message.contexts),
+        _RATES.pack(*(message.rates_kbps if message.kind in KINDS_WITH_RATES else (0, 0))),
     )
 
 
@@ -227,8 +223,7 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
     number, echo = b"", b""
     if known is MessageKind.HELLO:
         _, _, _, digest, number, echo = _HELLO.unpack(data)
-        heard, rest = 0, bytes(CONTEXTS)
-    has_rates = known in KINDS_WITH_RATES
+        heard = 0
     return SupervisionMessage(
         version=first >> 4,
         kind=known,
@@ -237,8 +232,7 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
         boot_id=boot_id,
         heard=heard,
         digest=digest,
-        contexts=(0, 0, 0, 0) if has_rates else (rest[0], rest[1], rest[2], rest[3]),
-        rates_kbps=_RATES.unpack(rest) if has_rates else (0, 0),
+        rates_kbps=_RATES.unpack(rest) if known in KINDS_WITH_RATES else (0, 0),
         number=int.from_bytes(number, "big"),
         echo=int.from_bytes(echo, "big"),
     )
@@ -253,21 +247,14 @@ class MessagePacing:
     def __init__(self, timing: SupervisionTiming, now_ns: int) -> None:
         self.due_ns = self.earliest_ns = now_ns
         self._timing = timing
-        #: What the last message contained; the rest (contexts held) separately.
+        #: What the last message contained.
         self._sent: tuple[int, ...] = ()
-        self._sent_rest: tuple[int, ...] = ()
         self._content: tuple[int, ...] = ()
         self._changed_ns = now_ns
         self._sent_ns = now_ns - timing.slow_ns
 
     def handle_content(
-        self,
-        content: tuple[int, ...],
-        rest: tuple[int, ...],
-        now_ns: int,
-        *,
-        heard: bool,
-        settled: bool,
+        self, content: tuple[int, ...], now_ns: int, *, heard: bool, settled: bool
     ) -> None:
         """Update the next message. heard: the peer hears. settled: it needs nothing more."""
         timing = self._timing
@@ -275,8 +262,6 @@ class MessagePacing:
             self._content, self._changed_ns = content, now_ns
         if content != self._sent:
             wait_ns = timing.spacing_ns
-        elif rest != self._sent_rest:
-            wait_ns = timing.fast_ns
         elif settled:
             wait_ns = timing.slow_ns
         elif now_ns - self._changed_ns < timing.settle_ns:
@@ -285,8 +270,8 @@ class MessagePacing:
             wait_ns = timing.slow_ns if heard else timing.search_ns
         self.due_ns = max(self._sent_ns + wait_ns, self.earliest_ns)
 
-    def handle_sent(self, content: tuple[int, ...], rest: tuple[int, ...], now_ns: int) -> None:
-        self._sent, self._sent_rest, self._sent_ns = content, rest, now_ns
+    def handle_sent(self, content: tuple[int, ...], now_ns: int) -> None:
+        self._sent, self._sent_ns = content, now_ns
         self.handle_extra(now_ns)
 
     def handle_extra(self, now_ns: int) -> None:

@@ -48,13 +48,6 @@ class PeerDeaf(NamedTuple):
     now_ns: int
 
 
-class ContextsHeld(NamedTuple):
-    """Contexts of this start of this end that the peer holds: a number a flow, 0 for none."""
-
-    now_ns: int
-    ids: tuple[int, ...]
-
-
 class StateChanged(NamedTuple):
     """A change of state, with its reason."""
 
@@ -81,7 +74,6 @@ SupervisionEvent = (
     | PeerDoubted
     | PeerHears
     | PeerDeaf
-    | ContextsHeld
     | StateChanged
     | ApplicationReset
 )

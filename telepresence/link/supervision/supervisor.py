@@ -13,7 +13,6 @@ After each call: `next_event()` until None. The receiver delivers while `deliver
 """
 
 from collections import deque
-from collections.abc import Sequence
 from enum import Enum, auto
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -30,7 +29,6 @@ from telepresence.link.supervision.message import (
 from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation, Proof
 from telepresence.link.supervision.record import (
     ApplicationReset,
-    ContextsHeld,
     PeerDeaf,
     PeerDoubted,
     PeerHears,
@@ -42,7 +40,6 @@ from telepresence.link.supervision.record import (
     SupervisionRecord,
 )
 
-_NO_CONTEXTS = (0, 0, 0, 0)
 #: For a gateway that does not fetch events; beyond that the oldest are dropped.
 _EVENTS_DEPTH = 256
 #: An unknown sender that hears nobody cannot prove itself. It is followed after this many frames,
@@ -199,7 +196,6 @@ class Supervisor:
             _LEAST_SLOTS * configuration.receive.slot_ns,
         )
         self._fault: str | None = self.why
-        self._contexts: tuple[int, int, int, int] = _NO_CONTEXTS
         self._frame_ns = now_ns
         self.next_ns = now_ns
         self._negotiation = Negotiation(
@@ -290,17 +286,6 @@ class Supervisor:
         """A sample or a packet of the local applications goes out."""
         self._application.sent_ns = now_ns
 
-    def handle_contexts(self, ids: Sequence[int], now_ns: int) -> None:
-        """Set what the local receiver holds: an id (1 to 255, 0 none) for up to four flows.
-
-        After `PeerMet`, let the receiver forget first: ids of a former life must not be reported.
-        """
-        first, second, third, fourth = (*ids, *_NO_CONTEXTS)[:4]
-        contexts = (first, second, third, fourth)
-        if contexts != self._contexts:
-            self._contexts = contexts
-            self._update(now_ns)
-
     def handle_local_check(self, fault: str | None, now_ns: int) -> None:
         """None: this end works. A line: what does not; then nothing is delivered."""
         if fault != self._fault:
@@ -342,8 +327,6 @@ class Supervisor:
             self._note_challenge(peer, now_ns)
         self._note_hearing(now_ns)
         if peer is not None:
-            if self.peer_hears and peer.kind in (MessageKind.ALIVE, MessageKind.CONFIRM):
-                self._events.append(ContextsHeld(now_ns, peer.contexts))
             was_reset = before is not None and before.application and not peer.application
             self._application.handle_peer(was_reset=was_reset, sends=peer.sending, now_ns=now_ns)
         self._update(now_ns)
@@ -422,8 +405,6 @@ class Supervisor:
 
     def _note_met(self, before_boot_id: int, now_ns: int) -> None:
         self._counts["peer_restarts"] += before_boot_id != 0
-        # Contexts from the peer's former life must not be reported as held.
-        self._contexts = _NO_CONTEXTS
         self._events.append(PeerMet(now_ns, self.peer_boot_id, before_boot_id != 0))
 
     def _note_challenge(self, told: SupervisionMessage, now_ns: int) -> None:
@@ -470,7 +451,7 @@ class Supervisor:
             return None
         message = self._message(self._next_kind(now_ns), now_ns)
         if message.kind is self._kind():
-            self._pacing.handle_sent(self._content(), self._contexts, now_ns)
+            self._pacing.handle_sent(self._content(), now_ns)
         else:
             self._pacing.handle_extra(now_ns)
         if message.kind is MessageKind.HELLO:
@@ -535,9 +516,7 @@ class Supervisor:
         peer, pacing = self._negotiation.peer, self._pacing
         connected = LinkState.CONNECTED
         settled = self.state is connected and peer is not None and peer.state is connected
-        pacing.handle_content(
-            self._content(), self._contexts, now_ns, heard=self.peer_hears, settled=settled
-        )
+        pacing.handle_content(self._content(), now_ns, heard=self.peer_hears, settled=settled)
         self.next_ns = pacing.due_ns
         if self._greet_ns is not None:
             earliest_ns = 0 if self._prompt else pacing.earliest_ns
@@ -585,7 +564,6 @@ class Supervisor:
             boot_id=self.boot_id,
             heard=0 if peer is None else peer.boot_id,
             digest=negotiation.digest,
-            contexts=self._contexts,
             rates_kbps=negotiation.rates_kbps,
             number=number,
             echo=echo,

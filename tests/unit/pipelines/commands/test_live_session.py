@@ -9,6 +9,5 @@ def test_a_quiet_session_says_what_failed(capsys, monkeypatch):
     failed = SimpleNamespace(failures=["why"])
     monkeypatch.setattr(live_session, "session_report", lambda *_: failed)
     collector = SimpleNamespace(handle_end=lambda: None, trace=None)
-    args = SimpleNamespace(quiet=True, report=None)
-    assert live_session.end_session(args, collector, None) == 1
+    assert live_session.end_session(collector, None, report_file=None, quiet=True) == 1
     assert capsys.readouterr() == ("", "failed: why\n")

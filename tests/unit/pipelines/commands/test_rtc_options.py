@@ -17,7 +17,7 @@ def watch(tmp_path):
 
     def parsed(*words):
         words = [str(password) if word == "PASSWORD" else word for word in words]
-        return make_parser().parse_args(["watch", "--whep", URL, *words])
+        return make_parser("watch").parse_args(["watch", "--whep", URL, *words])
 
     return parsed
 

@@ -1,12 +1,13 @@
 """Whether a session has tasks."""
 
-from argparse import ArgumentParser
 from dataclasses import replace
 
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.session_parts import add_task_arguments, task_options
+from pipelines.cli import make_parser
+from pipelines.commands.session_parts import task_options
+from pipelines.session.options import stream_options
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 
@@ -14,11 +15,8 @@ SETUP = BUILT_IN["spacejustin"]
 
 
 def request(setup, *words):
-    parser = ArgumentParser()
-    parser.add_argument("--joystick", default="page")
-    parser.add_argument("--robot", default="sim")
-    add_task_arguments(parser)
-    return task_options(parser.parse_args(words), setup, tuple(Segment))
+    args = make_parser("stream").parse_args(["stream", "--joystick", "page", *words])
+    return task_options(stream_options(args), setup, tuple(Segment))
 
 
 def test_a_setup_may_wish_tasks_as_the_option_does_unless_a_partner_drives_the_robot():

@@ -3,10 +3,10 @@
 import inspect
 import pkgutil
 import socket
-from types import SimpleNamespace
 
 from pipelines.commands.session_ways import files_arguments
 from pipelines.files.service_sockets import bound_services, services_options
+from pipelines.session.options import StreamOptions
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import FILES, PAGES, Segment
 from pipelines.table import topology_of
@@ -16,11 +16,8 @@ def test_each_process_takes_what_it_is_given(tmp_path):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    args = SimpleNamespace(
-        files=tmp_path,
-        files_rate=None,
-        service=[f"ssh={port}"],
-        service_allow=["ssh=127.0.0.1:22"],
+    args = StreamOptions(
+        files=tmp_path, service=(f"ssh={port}",), service_allow=("ssh=127.0.0.1:22",)
     )
     topology = topology_of(BUILT_IN["taskboard"], files=True, pages=True)
     ends = tuple(Segment)

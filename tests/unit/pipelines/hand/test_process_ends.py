@@ -6,9 +6,10 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from kontur_av.media import CaptureStamp
 from kontur_av.returned import PartError
 from pipelines.hand import partner_arm, process_ends, timed_calls
-from pipelines.hand.hand_topics import pack_input
+from pipelines.hand.hand_topics import HAND_INPUT_TOPIC
 from pipelines.hand.process_ends import _hand
 from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.haptic_metrics import HandInputMetrics
@@ -17,13 +18,15 @@ from telepresence.haptics.haptic_metrics import HandInputMetrics
 def test_inputs_of_a_page_that_move_nothing_are_told():
     told, flushes = [], []
     inputs = [PageInput(False, x, 0.0, 0, number) for number, x in enumerate((0.5, 0.5, 7.0))]
-    octets = iter([pack_input(one) for one in (*inputs, inputs[1])])
-    reader = SimpleNamespace(latest_octets=lambda: next(octets))
+    samples = iter([*inputs, inputs[1]])
+    lease = MagicMock(stamp=CaptureStamp(0, 0, "page"))
+    lease.octets = lambda: HAND_INPUT_TOPIC.pack(next(samples))
+    reader = SimpleNamespace(latest=lambda: lease)
     context = SimpleNamespace(
         on_flush=flushes.append, probe=SimpleNamespace(publish=lambda metrics: told.append(metrics))
     )
-    bus = SimpleNamespace(reader=lambda _topic: reader)
-    take = _hand(context, bus, PageDevice(start_m=(0.0, 0.0)), "input")
+    bus = SimpleNamespace(reader=lambda _topic, depth: reader)
+    take = _hand(context, bus, PageDevice(start_m=(0.0, 0.0)), HAND_INPUT_TOPIC)
     for _ in range(4):
         take(0)
     flushes[0]()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.hand.hand_topics import STATUS_OCTETS, HandRequest, pack_request, unpack_status
+from pipelines.hand.hand_topics import HandRequest
 from pipelines.hand.robot_commands import STATUS_NS, JoystickStatusTeller, RobotCommands
 from pipelines.session.mission_messages import RobotCommand, RobotOrder
 from telepresence.haptics.bilateral import RobotSide
@@ -91,14 +91,13 @@ class JoystickClient:
         for _ in range(milliseconds):
             self.handle.step(0.0, 0.0, MS)
             if self.handle.now_ns % (10 * MS) == 0:
-                data = self.teller.poll_status(self.handle.now_ns)
-                if data is not None:
-                    assert len(data) <= STATUS_OCTETS
-                    self.told.append(unpack_status(data))
+                status = self.teller.poll_status(self.handle.now_ns)
+                if status is not None:
+                    self.told.append(status)
 
     def request(self, number, event):
         self.told.clear()
-        self.teller.handle_request(pack_request(HandRequest(number, event)))
+        self.teller.handle_request(HandRequest(number, event))
         self.run(20)
         return self.told[0]
 
@@ -126,7 +125,7 @@ def test_a_command_is_answered_with_the_state_that_it_led_to():
             status = service.request(8, JoystickEvent.ACKNOWLEDGE)
             assert status.answered == 8 and "not in the state halted" in status.refusal
     service.told.clear()
-    service.teller.handle_request(b"nonsense")
+    service.teller.handle_request(HandRequest(10, JoystickEvent.FAULT))
     service.run(1000)
     # Nothing has changed but the hand that took the handle.
     assert 10 <= len(service.told) <= 13 and {one.answered for one in service.told} == {9}
@@ -136,7 +135,7 @@ def test_a_halt_is_named_with_who_gave_it_in_the_next_life_of_its_process_too():
     service = JoystickClient()
     service.teller.handle_watched(True)
     service.run(3500)
-    service.teller.handle_telecommand(pack_request(HandRequest(1, JoystickEvent.HALT)))
+    service.teller.handle_telecommand(HandRequest(1, JoystickEvent.HALT))
     service.run(20)
     assert (service.told[-1].state, service.told[-1].reason) == (
         JoystickState.HALTED,

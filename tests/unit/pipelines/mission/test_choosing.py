@@ -4,7 +4,6 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
-from pipelines.media import following
 from pipelines.media.following import AGAIN_NS, CameraFollower, Choice
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import session_dictionary
@@ -151,7 +150,3 @@ def test_a_session_knows_its_cameras_and_numbers_their_pictures_without_a_gap():
         follower.handle_choice(Choice(number, camera))
         numbers += [follower.restamp(CaptureStamp(0, 77, camera)).sequence for _ in range(2)]
     assert numbers == list(range(6))
-    choice = Choice(1 << 60, "c" * 64)
-    assert Choice.unpack(choice.pack()) == choice
-    assert len(choice.pack()) <= following.CHOICE_OCTETS
-    assert following.unpack_confirmed(following.pack_confirmed(1 << 60)) == 1 << 60

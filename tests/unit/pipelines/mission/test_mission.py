@@ -10,9 +10,7 @@ from hypothesis import strategies as st
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.mission.mission import MissionGround, MissionMemory, Seen, robot_order
-from pipelines.session.mission_messages import (
-    RobotStatus,
-)
+from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.task_journal import LinkMeanwhile
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.tasks.definitions import ControlMode

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipelines.hand.hand_topics import JoystickStatus, unpack_request
+from pipelines.hand.hand_topics import JoystickStatus
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, Reported, SendCommand
 from pipelines.mission.tmtc_sources import MOST_JOINTS, GatewaySource, JoystickSource, RobotSource
@@ -85,7 +85,7 @@ def measured(report):
 
 def requests(space, news):
     asked = [one for one in news if isinstance(one, FunctionAsked)]
-    return [unpack_request(space.service.handle_asked(one, 0)) for one in asked]
+    return [space.service.handle_asked(one, 0) for one in asked]
 
 
 def test_a_hot_joystick_is_halted_by_a_rule_of_the_dictionary(space):

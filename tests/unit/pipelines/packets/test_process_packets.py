@@ -9,20 +9,22 @@ import pytest
 from common import eventually
 
 from kontur_av.errors import ConfigError
-from pipelines.link.link_metrics import pack_frames
 from pipelines.packets.process_packets import FrameCopies, _Streams, parse_frames
+from pipelines.session.topology import Frames, Topic
+
+FRAMES = Topic("frames", Frames, "frames")
 
 
 def test_each_frame_is_a_datagram_and_missed_samples_are_counted():
     numbers, sent = [4, 5, 8, 0, 1], []
     samples = []
     for number in numbers:
-        octets = pack_frames([(0, b"one %d" % number), (1, b"two %d" % number)])
+        octets = FRAMES.pack([(0, b"one %d" % number), (1, b"two %d" % number)])
         lease = MagicMock(stamp=SimpleNamespace(sequence=number))
         lease.octets.return_value = octets
         samples.append(lease)
     reader = SimpleNamespace(next=lambda: samples.pop(0) if samples else None)
-    copies = FrameCopies(reader, SimpleNamespace(send=sent.append))
+    copies = FrameCopies(reader, FRAMES, SimpleNamespace(send=sent.append))
     copies.copy()
     assert sent[:3] == [b"one 4", b"two 4", b"one 5"]
     assert copies.copied == len(sent) == 10

@@ -19,7 +19,6 @@ from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
 from pipelines.link.gateway_end import GatewayEnd
-from pipelines.link.link_metrics import pack_frames
 from pipelines.media.key_picture_maker import last_key
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Content, sources_of
@@ -452,8 +451,8 @@ def test_sounds_packets_metrics_and_frames_are_recorded_as_they_were():
     given = {
         "sent/uplink_voice": b"opus",
         "tm/space/sent": b"no packet",
-        "figures/ground": msgspec.msgpack.encode(metrics),
-        "frames/uplink/sent": pack_frames(gateway.frames_sent),
+        "metrics/ground": msgspec.msgpack.encode(metrics),
+        "frames/uplink/sent": msgspec.msgpack.encode(gateway.frames_sent),
     }
     for topic, octets in given.items():
         disk.recorder.handle_sample(sources[topic], octets, stamp(0, 5 * NS_PER_MS), 6 * NS_PER_MS)

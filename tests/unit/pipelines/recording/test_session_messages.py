@@ -9,7 +9,7 @@ from kontur_av.media import CaptureStamp
 from pipelines.recording.channels import sources_of
 from pipelines.recording.recorded_messages import RecordedExperiment, RecordedLeds, unpack
 from pipelines.recording.session_messages import Instants, SessionMessages
-from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown, pack
+from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.tasks.definitions import Pattern
@@ -33,7 +33,7 @@ def told():
     def publish(channel, kind, sample, tick):
         now_ns = tick * TICK_NS
         stamp, at = CaptureStamp(now_ns, tick, channel), Instants(now_ns, now_ns)
-        found = messages.of_sample(sources[channel], pack(sample), stamp, at)
+        found = messages.of_sample(sources[channel], sources[channel].topic.pack(sample), stamp, at)
         return [unpack(kind, one.data) for one in found]
 
     return publish

@@ -10,13 +10,14 @@ import pytest
 from kontur_av.errors import ConfigError
 from pipelines.cli import make_parser
 from pipelines.session import served_pages
+from pipelines.session.options import stream_options
 from pipelines.session.served_pages import announced_pages, bound_pages, parse_page
 
 
 @contextmanager
 def announced(*words, quiet=False):
     args = make_parser("stream").parse_args(["stream", "--setup", "taskboard", *words])
-    with announced_pages(bound_pages(args), "taskboard-1", quiet=quiet) as pages:
+    with announced_pages(bound_pages(stream_options(args)), "taskboard-1", quiet=quiet) as pages:
         yield pages
 
 

@@ -31,7 +31,7 @@ def test_each_exercise_lasts_until_its_own_end_and_all_can_be_ended():
     assert ask(trainer, "task-failed", 1, 6 * S) == "tasks fail for 1 s"
     for camera in ("head", "operator_camera"):
         ask(trainer, "camera-lost", 3, 7 * S, camera=camera)
-    assert Exercises.unpack(trainer.exercises.pack()) == Exercises(
+    assert trainer.exercises == Exercises(
         los_ns=25 * S,
         joystick_ns=round(8.5 * S),
         robot_ns=10 * S,

@@ -283,19 +283,3 @@ def test_checksums_of_the_standard():
     assert file_sum(pdus.ChecksumType.CRC_32, b"123456789").hex() == "cbf43926"
     assert file_sum(pdus.ChecksumType.MODULAR, bytes(range(15))).hex() == "181c2015"
     assert file_sum(pdus.ChecksumType.NULL_CHECKSUM, b"123") == bytes(4)
-
-
-def test_segments_are_a_set_of_octets():
-    random, segments, octets = Random(3), pdus.Segments(), set()
-    for _ in range(500):
-        start = random.randrange(300)
-        end = start + random.randrange(20)
-        new = set(range(start, end)) - octets
-        assert segments.add(start, end) == len(new)
-        octets |= new
-        if random.random() < 0.3 and segments:
-            taken = set(range(*segments.take(7)))
-            assert taken <= octets
-            octets -= taken
-        gaps = {at for gap in segments.missing(320, 1_000) for at in range(*gap)}
-        assert gaps == set(range(320)) - octets

@@ -7,22 +7,17 @@ from random import Random
 
 import pytest
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
-from hypothesis import given
-from hypothesis import strategies as st
 
 from telepresence.link.protection import datagrams
 from telepresence.link.protection.datagrams import (
     DATA_OCTETS,
     HANDSHAKE,
     OVERHEAD_OCTETS,
-    SEGMENT_OCTETS,
     SEGMENT_OVERHEAD_OCTETS,
     STREAM_OCTETS,
     WINDOW,
     DirectionKeys,
     HandshakeSegment,
-    IncomingStream,
-    OutgoingStream,
     RecordOpener,
     RecordSealer,
     SegmentCodec,
@@ -141,38 +136,3 @@ def test_a_segment_is_laid_out_as_the_table_says_and_only_the_peer_reads_it():
 )
 def test_what_no_peer_sends_is_malformed(segment):
     assert SegmentCodec(TWO, ONE).parse(CODEC.pack(segment)) == "malformed"
-
-
-@given(st.integers(0, 5 * DATA_OCTETS), st.integers(0, 2**32))
-def test_a_stream_arrives_whatever_the_path_does(size, seed):
-    random = Random(seed)
-    octets = random.randbytes(size)
-    out, into, got = OutgoingStream(), IncomingStream(), b""
-    cut = random.randrange(len(octets) + 1)
-    out.add(octets[:cut])
-    for attempt in range(200):
-        pieces = []
-        while (piece := out.next_piece()) is not None:
-            assert len(piece[1]) <= SEGMENT_OCTETS
-            pieces += [piece] * random.choice((0, 1, 1, 2))
-        random.shuffle(pieces)
-        for piece in pieces:
-            got += into.handle_piece(*piece)
-        if random.random() < 0.7:
-            out.handle_acknowledged(into.received)
-        if attempt == 2:
-            out.add(octets[cut:])
-        if attempt > 2 and not out.outstanding:
-            break
-        out.repeat()
-    assert got == octets and into.received == len(octets)
-
-
-def test_an_acknowledgement_of_what_was_never_sent_is_no_news():
-    out = OutgoingStream()
-    out.add(b"12345")
-    assert out.handle_acknowledged(3)
-    assert not out.handle_acknowledged(3)
-    assert not out.handle_acknowledged(2)
-    assert not out.handle_acknowledged(6)
-    assert out.outstanding

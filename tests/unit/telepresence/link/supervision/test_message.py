@@ -32,7 +32,6 @@ MESSAGES = st.builds(
     st.sampled_from(LinkState),
     *([st.booleans()] * 5),
     *(st.integers(1, 65535), words, words),
-    st.tuples(*[st.integers(0, 255)] * 4),
     st.tuples(words, words),
     *([st.integers(0, (1 << 24) - 1)] * 2),
 )
@@ -42,13 +41,9 @@ def told(message):
     """What its kind tells of a message."""
     rates = message.kind in (MessageKind.CONFIGURE, MessageKind.REJECT)
     if message.kind is MessageKind.HELLO:
-        return message._replace(heard=0, contexts=(0, 0, 0, 0), rates_kbps=(0, 0))
-    none = {
-        "number": 0,
-        "echo": 0,
-        "contexts" if rates else "rates_kbps": (0,) * (4 - 2 * (not rates)),
-    }
-    return message._replace(**none)
+        return message._replace(heard=0, rates_kbps=(0, 0))
+    message = message._replace(number=0, echo=0)
+    return message if rates else message._replace(rates_kbps=(0, 0))
 
 
 @given(MESSAGES)
@@ -64,7 +59,7 @@ def test_a_message_is_read_as_it_was_written(message):
 
 def message(**changes):
     table = {
-        "version": 3,
+        "version": 4,
         "kind": MessageKind.ALIVE,
         "state": LinkState.APPROVE,
         "master": False,
@@ -75,23 +70,20 @@ def message(**changes):
         "boot_id": 0x0102,
         "heard": 0x0304,
         "digest": 0x0506,
-        "contexts": (7, 8, 9, 10),
     }
     return SupervisionMessage(**{**table, **changes})
 
 
 def test_bits_are_where_the_table_says():
-    assert pack_message(message()) == bytes.fromhex("30 6a 0102 0304 0506 0708090a")
+    assert pack_message(message()) == bytes.fromhex("40 6a 0102 0304 0506 00000000")
     flags = {"master": 0x10, "signal": 8, "application": 4, "fresh": 2, "sending": 1}
     for name, flag in flags.items():
         one = message(**{**dict.fromkeys(flags, False), name: True}, state=LinkState.REFUSED)
         assert pack_message(one)[1] == 0xA0 | flag
-    configure = message(
-        kind=MessageKind.CONFIGURE, master=True, contexts=(0,) * 4, rates_kbps=(256, 4000)
-    )
-    assert pack_message(configure) == bytes.fromhex("31 7a 0102 0304 0506 01000fa0")
+    configure = message(kind=MessageKind.CONFIGURE, master=True, rates_kbps=(256, 4000))
+    assert pack_message(configure) == bytes.fromhex("41 7a 0102 0304 0506 01000fa0")
     hello = message(kind=MessageKind.HELLO, heard=0, number=0xABCDEF, echo=0x123456)
-    assert pack_message(hello) == bytes.fromhex("34 6a 0102 0506 abcdef 123456")
+    assert pack_message(hello) == bytes.fromhex("44 6a 0102 0506 abcdef 123456")
 
 
 @pytest.mark.parametrize(
@@ -117,28 +109,27 @@ def test_messages_come_at_once_on_a_change_then_fast_then_slowly():
     pacing = MessagePacing(TIMING, 0)
     assert (pacing.due_ns, pacing.earliest_ns) == (0, 0)
 
-    def due(now_ms, content=(1,), rest=(), *, heard=True, settled=False):
-        pacing.handle_content(content, rest, now_ms * MS, heard=heard, settled=settled)
+    def due(now_ms, content=(1,), *, heard=True, settled=False):
+        pacing.handle_content(content, now_ms * MS, heard=heard, settled=settled)
         return pacing.due_ns // MS
 
     assert due(0) <= 0
-    pacing.handle_sent((1,), (), 0)
+    pacing.handle_sent((1,), 0)
     assert pacing.earliest_ns == 10 * MS
     assert due(1) == due(1999) == 20
     assert due(2000) == 500 and due(2000, heard=False) == 50
     assert due(1, settled=True) == 500
-    # The contexts alone are told fast, a new content at once.
-    assert due(1, rest=(5,), settled=True) == 20 and due(1, content=(2,), settled=True) == 10
-    pacing.handle_sent((2,), (5,), 3000 * MS)
-    assert due(3001, content=(2,), rest=(5,)) == 3500
+    assert due(1, content=(2,), settled=True) == 10
+    pacing.handle_sent((2,), 3000 * MS)
+    assert due(3001, content=(2,)) == 3500
     # The 2 s count from the change, not from its message.
-    assert due(3002, content=(3,), rest=(5,)) == 3010
-    pacing.handle_sent((3,), (5,), 3010 * MS)
-    assert due(5001, content=(3,), rest=(5,)) == 3030
-    assert due(5002, content=(3,), rest=(5,)) == 3510
+    assert due(3002, content=(3,)) == 3010
+    pacing.handle_sent((3,), 3010 * MS)
+    assert due(5001, content=(3,)) == 3030
+    assert due(5002, content=(3,)) == 3510
     # Another message keeps its distance, too.
     pacing.handle_extra(3505 * MS)
-    assert due(5003, content=(3,), rest=(5,)) == 3515
+    assert due(5003, content=(3,)) == 3515
 
 
 @pytest.mark.parametrize("field", list(vars(TIMING)))

@@ -18,7 +18,6 @@ from telepresence.link.supervision.message import (
 )
 from telepresence.link.supervision.record import (
     ApplicationReset,
-    ContextsHeld,
     PeerDeaf,
     PeerDoubted,
     PeerHears,
@@ -105,7 +104,7 @@ def test_when_settled_messages_are_rare():
     pair.run(20 * S)
     for end, sent, seen in zip(pair.ends, before, events, strict=True):
         assert len(end.sent) - sent <= 40
-        assert all(isinstance(event, ContextsHeld) for event in end.events[seen:])
+        assert not end.events[seen:]
 
 
 @SIDES
@@ -113,9 +112,7 @@ def test_when_settled_messages_are_rare():
 def test_a_new_life_of_either_side(who, delay_slots):
     pair = connected(delay_slots=delay_slots)
     one, other = ends(pair, who)
-    other.supervisor.handle_contexts((9, 8), pair.slot * MS)
     pair.run(2 * S)
-    assert one.of(ContextsHeld)[-1].ids == (9, 8, 0, 0)
     for end in pair.ends:
         end.events.clear()
     one.start(0x7777, pair.slot)
@@ -125,8 +122,6 @@ def test_a_new_life_of_either_side(who, delay_slots):
     assert met[1:] == (0x7777, True)
     restarts = [metrics(pair, end).counts["peer_restarts"] for end in (one, other)]
     assert restarts == [0, 1]
-    # Contexts of the former life are never acknowledged to the new one.
-    assert {event.ids for event in one.of(ContextsHeld)} == {(0, 0, 0, 0)}
     assert not one.of(ApplicationReset) + other.of(ApplicationReset)
 
 
@@ -277,7 +272,7 @@ def test_one_working_direction_keeps_carrying(who):
     assert hearing.supervisor.state is LinkState.CONFIGURE
     assert "does not hear" in hearing.supervisor.why
     assert not hearing.supervisor.peer_hears
-    kinds = [type(event) for event in hearing.events if not isinstance(event, ContextsHeld)]
+    kinds = [type(event) for event in hearing.events]
     assert kinds[-2:] == [PeerDeaf, StateChanged]
     count, sent = len(hearing.delivered), len(lost.sent)
     pair.run(10 * S)
@@ -399,7 +394,7 @@ def test_a_broken_application_link_is_reset_where_nothing_comes_out():
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"space": replace(SPACE, version=4)}, "version"),
+        ({"space": replace(SPACE, version=5)}, "version"),
         ({"space": replace(SPACE, receive_flows=UP[:2])}, "frames or flows differ"),
         (
             {"space": replace(SPACE, transmit=replace(DOWNLINK, frame_octets=400))},

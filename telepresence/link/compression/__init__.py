@@ -1,1 +1,0 @@
-"""Compression of RTP headers to one to four octets on the link."""
