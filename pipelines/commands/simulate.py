@@ -6,17 +6,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 
 from kontur_av.errors import ConfigError
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.recording.replay_setup import load_replay
-from pipelines.report.model import CodingCosts, SessionReport
+from pipelines.report.model import SessionReport
 from pipelines.report.report_file import check_writable, end_report
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options, refuse_options
-from pipelines.session.options import (
-    add_coding_arguments,
-    add_session_options,
-    asked_setup,
-    stream_options,
-)
+from pipelines.session.options import add_session_options, asked_setup, stream_options
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import parse_selections
 from pipelines.virtual.simulate import replay, simulate
@@ -38,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replay FILE.mcap <Path>  send a recording again, with its setup, radio and seed unless "
         "others are given",
     )
-    add_coding_arguments(parser)
+    add_options(parser, "--recode", "--cap-kbps")
     add_session_options(
         parser, "radio", "radio_start", "radio_delay_ms", "seed", "deadband", "hand"
     )

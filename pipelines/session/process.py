@@ -33,6 +33,13 @@ if TYPE_CHECKING:
 #: The longest sleep of a process before it checks whether to end.
 TIMEOUT_NS = 100 * NS_PER_MS
 
+
+def wait_ns(now_ns: int, *dues_ns: int | None) -> int:
+    """Return how long to sleep until the first of these instants, at most `TIMEOUT_NS`."""
+    waits_ns = [due_ns - now_ns for due_ns in dues_ns if due_ns is not None]
+    return max(0, min([TIMEOUT_NS, *waits_ns]))
+
+
 #: Collect garbage once in this many flushes, twice a minute. It takes 0.1 to 0.3 ms, for pages 3.
 _COLLECT_EVERY = 60
 
