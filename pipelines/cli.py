@@ -5,6 +5,7 @@ import errno
 import gc
 import os
 import platform
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -51,55 +52,53 @@ class CommandParser(argparse.ArgumentParser):
         raise ConfigError(f"{message}; see `{self.prog} --help`")
 
 
-#: By group. Each is a module of `pipelines.commands`, or `pipelines.bench`: `add_arguments`, `run`.
-_GROUPS = {
-    "run": {
-        "stream": "run a whole telepresence session on this machine",
-        "link": "run the radio link alone, for any programs",
-        "simulate": "run a session on virtual time: the same seed, the same report",
-        "replay": "send a recorded session through a link again",
-        "sweep": "run many sessions on virtual time: any fields, radios and seeds, one table",
-        "send": "send one stream as plain RTP, under a hard cap",
-        "receive": "receive one stream of plain RTP",
-        "publish": "send a picture and a voice to a media server, by WebRTC",
-        "watch": "receive a picture and a voice from a media server, by WebRTC",
-        "rtc": "serve a partner across the Internet, by WebRTC",
-    },
-    "operate": {
-        "select": "switch the camera of a running session",
-        "tc": "send a telecommand, and print its verification",
-        "task": "list, select, start and abort tasks of a running session",
-        "stop": "emergency stop of the robot, or its release",
-        "authority": "say who drives the robot, or hand it to a partner",
-        "trainer": "give a running session an exercise: no signal, a fault, a lost camera",
-        "maintain": "run a sequence of commands, each of which is confirmed",
-        "file": "put, get, list, rename and remove files at the other end of a running session",
-        "robot": "check the driver of your own robot",
-        "joystick": "list joysticks, check one, or drive a robot with one",
-        "yamcs": "write an instance of YAMCS that reads a session's telemetry and commands it",
-    },
-    "record": {
-        "record": "record a running session, and leave it again",
-        "info": "list what is in a recording, gaps and losses included",
-        "recover": "make a whole recording of a torn one",
-        "export": "make MATLAB tables, CSV, video files, or a data set for learning, of a recording",
-        "report": "show what a session gave, as a page too; join the reports of two ends",
-        "archive": "keep the reports of many sessions, and show how a figure went",
-    },
-    "measure": {
-        "bench": "measure this machine and this link: latency, sync, pictures, cost",
-        "study": "measure how stiffness, damping and inertia of a handle change what hands can do",
-        "topology": "list the processes, streams and topics of a session",
-        "doctor": "check what this machine can do",
-        "devices": "list cameras, microphones and scenes",
-    },
-    "upkeep": {
-        "keys": "make this machine's key, and say which machines it trusts",
-        "versions": "update the link's software, and fall back by itself from a version that fails",
-        "apploader": "run the joystick's software from the copy that works",
-    },
-}
-_COMMANDS = {name: text for group in _GROUPS.values() for name, text in group.items()}
+#: Each is a module of `pipelines.commands`, or `pipelines.bench`: `add_arguments` and `run`.
+_HELP = """run:
+  stream     run a whole telepresence session on this machine
+  link       run the radio link alone, for any programs
+  simulate   run a session on virtual time: the same seed, the same report
+  replay     send a recorded session through a link again
+  sweep      run many sessions on virtual time: any fields, radios and seeds, one table
+  send       send one stream as plain RTP, under a hard cap
+  receive    receive one stream of plain RTP
+  publish    send a picture and a voice to a media server, by WebRTC
+  watch      receive a picture and a voice from a media server, by WebRTC
+  rtc        serve a partner across the Internet, by WebRTC
+
+operate:
+  select     switch the camera of a running session
+  tc         send a telecommand, and print its verification
+  task       list, select, start and abort tasks of a running session
+  stop       emergency stop of the robot, or its release
+  authority  say who drives the robot, or hand it to a partner
+  trainer    give a running session an exercise: no signal, a fault, a lost camera
+  maintain   run a sequence of commands, each of which is confirmed
+  file       put, get, list, rename and remove files at the other end of a running session
+  robot      check the driver of your own robot
+  joystick   list joysticks, check one, or drive a robot with one
+  yamcs      write an instance of YAMCS that reads a session's telemetry and commands it
+
+record:
+  record     record a running session, and leave it again
+  info       list what is in a recording, gaps and losses included
+  recover    make a whole recording of a torn one
+  export     make MATLAB tables, CSV, video files, or a data set for learning, of a recording
+  report     show what a session gave, as a page too; join the reports of two ends
+  archive    keep the reports of many sessions, and show how a figure went
+
+measure:
+  bench      measure this machine and this link: latency, sync, pictures, cost
+  study      measure how stiffness, damping and inertia of a handle change what hands can do
+  topology   list the processes, streams and topics of a session
+  doctor     check what this machine can do
+  devices    list cameras, microphones and scenes
+
+upkeep:
+  keys       make this machine's key, and say which machines it trusts
+  versions   update the link's software, and fall back by itself from a version that fails
+  apploader  run the joystick's software from the copy that works
+"""
+_COMMANDS = dict(re.findall(r"^  (\w+) +(.*)", _HELP, re.MULTILINE))
 
 
 def make_parser(only: str | None = None) -> argparse.ArgumentParser:
@@ -108,20 +107,10 @@ def make_parser(only: str | None = None) -> argparse.ArgumentParser:
         prog="kontur-av",
         description="Video, voice and force feedback through one thin radio link.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        epilog="\n".join(
-            f"{group}:\n"
-            + "\n".join(f"  {name:<11}{text}" for name, text in commands.items())
-            + "\n"
-            for group, commands in _GROUPS.items()
-        ),
+        epilog=_HELP,
     )
     parser.add_argument("--version", action="version", version=f"kontur-av {__version__}")
-    commands = parser.add_subparsers(
-        dest="command",
-        required=True,
-        metavar="COMMAND",
-        help="one of those below; `kontur-av COMMAND --help` has its options",
-    )
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, text in _COMMANDS.items():
         # `stream` has a short help of its own.
         command = commands.add_parser(name, description=text, add_help=name != "stream")

@@ -3,17 +3,16 @@
 import argparse
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
-from pipelines.bench.session import live_session
+from pipelines.bench.session import busy_programs, live_session
 from pipelines.report.charts import check_plot, lead_chart, save
 from pipelines.report.journeys import STAGES
 from pipelines.report.model import ContentSkew, Ranks, SessionReport, SkewReport, Spread, VideoLead
@@ -24,7 +23,9 @@ from pipelines.report.terms import TERMS
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import (
     add_session_options,
-    radio_change,
+    asked_setup,
+    setup_changes,
+    stream_options,
 )
 from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.setup.table import Setup
@@ -134,17 +135,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_session_options(parser, "setup=spacejustin")
     add_options(parser, "--seconds S <float=20.0>  of virtual time (default 20)")
     live = parser.add_mutually_exclusive_group()
-    live.add_argument(
-        "--live-seconds", type=float, default=20.0, metavar="S", help="of real time (default 20)"
+    add_options(
+        live,
+        "--live-seconds S <float=20.0>  of real time (default 20)",
+        "--no-live  virtual time only",
     )
-    live.add_argument("--no-live", action="store_true", help="virtual time only")
     add_session_options(parser, "radio=clean", "deadband")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the radio's losses")
-    parser.add_argument(
-        "--base-port", type=int, default=27_000, metavar="P", help="of the live run"
+    add_options(
+        parser,
+        "--load N <int=0>  busy programs beside the live run",
+        "--seed N <int=1>  of the radio's losses",
+        "--base-port P <int=27000>  of the live run",
+        "--report",
+        "--plot FILE <Path>  draw the lead's terms as PNG",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the lead's terms as PNG")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -153,6 +157,8 @@ def run(args: argparse.Namespace) -> int:
         if not 1 <= getattr(args, name) <= 3600:
             option = f"--{name.replace('_', '-')}"
             raise ConfigError(f"{option} {getattr(args, name):g}: give 1 to 3600")
+    if not 0 <= args.load <= 64:
+        raise ConfigError(f"--load {args.load}: give 0 to 64")
     check_writable(args.report)
     check_plot(args.plot)
     setups = _setups(args)
@@ -209,14 +215,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _live(args: argparse.Namespace) -> SessionReport:
     try:
-        return live_session(
-            args.setup,
-            seconds=args.live_seconds,
-            seed=args.seed,
-            radio=args.radio,
-            base_port=args.base_port,
-            deadband=args.deadband,
-        )
+        with busy_programs(args.load):
+            return live_session(
+                args.setup,
+                seconds=args.live_seconds,
+                seed=args.seed,
+                radio=args.radio,
+                base_port=args.base_port,
+                deadband=args.deadband,
+            )
     except ConfigError as error:
         raise ConfigError(f"live: {error} (or leave it out with --no-live)") from None
 
@@ -242,15 +249,10 @@ def _headlines(
 
 def _setups(args: argparse.Namespace) -> list[Setup]:
     """The chosen setup first, then the other built-in ones, all with the chosen radio."""
-    chosen = load_setup(args.setup)
-    others = [setup for name, setup in BUILT_IN.items() if name != chosen.name]
-    changes = dict(radio_change(args.radio))
-    if args.deadband is not None:
-        changes["deadband"] = args.deadband
-    # Check the port of the live run before anything is measured.
-    first = replace(chosen, base_port=args.base_port, **changes)
+    options = stream_options(args)
+    first, changes = asked_setup(options), setup_changes(options)
     check_virtual_sources(first)
-    return [first, *(replace(setup, **changes) for setup in others)]
+    return [first, *(load_setup(name, changes=changes) for name in BUILT_IN if name != first.name)]
 
 
 def _heading(args: argparse.Namespace, setup: Setup) -> str:

@@ -7,7 +7,6 @@ import struct
 import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US, MonotonicClock
 from kontur_av.errors import ConfigError
@@ -17,6 +16,7 @@ from pipelines.bench.session import live_report
 from pipelines.report.model import DirectionReport, LinkReport, SessionReport, from_json
 from pipelines.report.report_file import check_writable, open_console, write_result
 from pipelines.report.result import Headline, Json, Percentiles, as_json, headline_tables
+from pipelines.session.option_rows import add_options
 from pipelines.session.setup.setup_file import load_setup
 from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
@@ -209,13 +209,14 @@ def _times(histogram: Histogram) -> Percentiles:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--seconds", type=float, default=20.0, metavar="S", help="of each run (default 20)"
+    add_options(
+        parser,
+        "--seconds S <float=20.0>  of each run (default 20)",
+        "--setup NAME <=spacejustin>  of the live runs",
+        "--no-live  the cost of a slot only",
+        "--base-port P <int=27000>  of live runs",
+        "--report",
     )
-    parser.add_argument("--setup", default="spacejustin", metavar="NAME", help="of the live runs")
-    parser.add_argument("--no-live", action="store_true", help="the cost of a slot only")
-    parser.add_argument("--base-port", type=int, default=27_000, metavar="P", help="of live runs")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -30,7 +30,7 @@ from pipelines.report.result import Headline, Json, as_json, titled_table
 from pipelines.report.sync_matching import Matched, match_around
 from pipelines.report.sync_metrics import PAIRS, SENSES, SensedEvent, skew_summary, skews_ns
 from pipelines.session.option_rows import add_options
-from pipelines.session.options import radio_change
+from pipelines.session.options import StreamOptions, setup_changes
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.sources import check_sources
 from pipelines.virtual.media import check_virtual_sources
@@ -228,8 +228,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "given several times",
         "--roi X,Y,W,H  where the LED is, in pixels of the file; default all",
     )
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write the figures as JSON")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the skews as PNG")
+    add_options(parser, "--report", "--plot FILE <Path>  draw the skews as PNG")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -252,7 +251,7 @@ def _run_session(args: argparse.Namespace, console: Console) -> int:
     if not 5 <= seconds <= 36_000:
         raise ConfigError(f"--seconds {seconds:g}: give 5 to 36000")
     name, radio = args.setup or "spacejustin", args.radio or "clean"
-    setup = load_setup(name, changes=radio_change(radio))
+    setup = load_setup(name, changes=setup_changes(StreamOptions(radio=radio)))
     check_sources(setup, setup.inputs)
     if args.live:
         report = live_session(

@@ -22,15 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "archive FILE.sqlite <Path>  made if need be",
         "action <add|list|events|trend>  add: keep reports; list: the sessions; events: how often "
         "each came; trend: a figure over all sessions",
+        "what REPORT.json or KEY <...>  of add: reports of sessions; of trend: keys of "
+        "docs/report.md, such as streams.uplink_video.frames_shown, * for any letters",
+        "--plot FILE.png <Path>  draw the trend, too",
     )
-    parser.add_argument(
-        "what",
-        nargs="*",
-        metavar="REPORT.json or KEY",
-        help="of add: reports of sessions; of trend: keys of docs/report.md, such as "
-        "streams.uplink_video.frames_shown, * for any letters",
-    )
-    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the trend, too")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,12 +12,7 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
 from pipelines.commands.common import say_unprotected
-from pipelines.commands.rtc_options import (
-    ICE,
-    add_token_arguments,
-    ice_servers_of,
-    token_of,
-)
+from pipelines.commands.rtc_options import ICE, ice_servers_of, token_of
 from pipelines.hand.haptic_loop import new_boot_id
 from pipelines.hand.partner_arm import run_side, told
 from pipelines.partner.whip import Far
@@ -51,10 +46,10 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         f"--base-port P <port={Setup.base_port}>  of this user's session",
         "--rtc URL  a session across the Internet: what `stream --rtc` prints, up to the port",
+        "--token",
+        "--token-file",
     )
-    add_token_arguments(parser)
-    add_session_options(parser, *ICE)
-    add_options(parser, "--seconds")
+    add_session_options(parser, *ICE, "seconds")
 
 
 def drive(args: argparse.Namespace) -> int:

@@ -57,8 +57,8 @@ def run(args: argparse.Namespace) -> int:
     screen.show_lines(ports_table(topology, ends, addresses.apps_bind, addresses.apps).lines(200))
     given = {
         "addresses": addresses,
-        "peer": None if one is None else one.plan,
-        "tell_backlog": False,
+        "peer": one,
+        "publish_backlog": False,
     }
     launcher = Launcher(
         session="link",

@@ -17,6 +17,7 @@ from pipelines.report.seat_feed import end_trace, session_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.kept_files import KeptOrders, NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
+from pipelines.session.options import StreamOptions
 from pipelines.session.topology import Segment
 from pipelines.upkeep.requests import status_teller
 from telepresence.upkeep.version_stack import status_of
@@ -38,11 +39,10 @@ def made_directory(path: Path, option: str, *, make: bool = True) -> Path:
 
 
 def end_session(
+    args: StreamOptions,
     collector: Collector,
     launcher: Launcher,
     *,
-    report_file: Path | None,
-    quiet: bool,
     replay: ReplayReport | None = None,
 ) -> int:
     """Write and print the report of a session that has ended; 1 if it names a failure."""
@@ -52,7 +52,7 @@ def end_session(
         report = msgspec.structs.replace(report, trace=end_trace(collector, launcher))
     if replay is not None:
         report = msgspec.structs.replace(report, replay=replay)
-    return end_report(report, report_file, quiet=quiet)
+    return end_report(report, args.report, quiet=args.quiet)
 
 
 def with_status(

@@ -7,32 +7,19 @@ import time
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import check_options
-from pipelines.commands.rtc_options import (
-    ICE,
-    add_redirect_argument,
-    add_token_arguments,
-)
-from pipelines.commands.rtc_running import (
-    add_run_arguments,
-    add_sending_arguments,
-    coded_sources,
-    keep,
-    keeper_of,
-    sends_of,
-)
+from pipelines.commands.rtc_options import ICE
+from pipelines.commands.rtc_running import SENDING, coded_sources, keep, keeper_of, sends_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcCommandReport, RtcPeer
 from pipelines.report.report_file import end_with
+from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_session_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--whip", metavar="URL", required=True, help="the endpoint (RFC 9725)")
-    add_token_arguments(parser)
-    add_redirect_argument(parser)
-    add_sending_arguments(parser)
-    add_session_options(parser, *ICE)
-    add_run_arguments(parser)
+    row = "--whip URL <!>  the endpoint (RFC 9725)"
+    add_options(parser, row, "--token", "--token-file", "--token-origin", *SENDING)
+    add_session_options(parser, *ICE, "seconds", "report")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -16,7 +16,7 @@ from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.option_rows import add_options
-from pipelines.session.options import add_coding_arguments, add_session_options
+from pipelines.session.options import add_session_options, stream_options
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room
 from pipelines.session.setup.table import Setup, VideoStream
@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed X <float=1.0>  seconds of the recording a second, 0.1 to 4 (default 1, the only "
         "one with voices)",
     )
-    add_coding_arguments(parser)
+    add_options(parser, "--recode", "--cap-kbps")
     add_session_options(parser, "radio", "radio_start", "radio_delay_ms", "seed", "base_port")
     add_session_options(parser, "report", "snapshots", "verbose", "quiet")
     parser.set_defaults(seed=None)
@@ -82,9 +82,7 @@ def run(args: argparse.Namespace) -> int:
         launcher.run(length_ns / NS_PER_S)
     held.close()
     replay = _replay_report(recorded, setup, args)
-    return end_session(
-        collector, launcher, report_file=args.report, quiet=args.quiet, replay=replay
-    )
+    return end_session(stream_options(args), collector, launcher, replay=replay)
 
 
 def _replay_report(

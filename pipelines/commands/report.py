@@ -25,16 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "report FILE.json  the report of a session, whose summary is shown; or the word join",
-    )
-    parser.add_argument(
-        "ends",
-        nargs="*",
-        metavar="GROUND.json SPACE.json",
-        help="after join, the reports of `stream --end ground` and `--end space`; their joined "
-        "report goes to standard output",
-    )
-    add_options(
-        parser,
+        "ends GROUND.json SPACE.json <...>  after join, the reports of `stream --end ground` and "
+        "`--end space`; their joined report goes to standard output",
         "--html  write FILE.html beside the report: what fell short, what happened, latency, "
         "rates, skew, force",
     )

@@ -12,17 +12,11 @@ from tempfile import TemporaryDirectory
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.rtc_options import (
-    ICE,
-    add_token_arguments,
-    ice_servers_of,
-    token_of,
-)
+from pipelines.commands.rtc_options import ICE, ice_servers_of, token_of
 from pipelines.commands.rtc_running import (
+    OUTPUT,
+    SENDING,
     PartnerOutput,
-    add_output_arguments,
-    add_run_arguments,
-    add_sending_arguments,
     coded_sources,
     driven,
     sends_of,
@@ -31,7 +25,7 @@ from pipelines.partner.peer import Programme, RtcCommandReport, connection_repor
 from pipelines.partner.server import RtcServer
 from pipelines.report.report_file import end_with
 from pipelines.session.command_process import say
-from pipelines.session.option_rows import add_actions
+from pipelines.session.option_rows import add_actions, add_options
 from pipelines.session.options import add_session_options, stream_options
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.served_pages import base_url, bound_server, served
@@ -48,11 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cert FILE <Path>  PEM file with certificate and key (default: made for this run)",
     )
     serve = add_actions(parser, {"serve": rows})["serve"]
-    add_token_arguments(serve)
-    add_sending_arguments(serve)
-    add_output_arguments(serve)
-    add_session_options(serve, *ICE)
-    add_run_arguments(serve)
+    add_options(serve, "--token", "--token-file", *SENDING, *OUTPUT)
+    add_session_options(serve, *ICE, "seconds", "report")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
 def _listening(args: argparse.Namespace) -> Iterator[PageListener]:
     """The listener, with a certificate where it needs one, and its addresses printed."""
     token = token_of(args) or secrets.token_urlsafe(24)
-    options = bound_server(args.http, _SEAT, "--http", args.cert)
+    options = bound_server(args.http, _SEAT, option="--http", certificate=args.cert)
     with (
         TemporaryDirectory(prefix="kontur-rtc-") as folder,
         served(options, Path(folder), _SEAT) as (found, made),

@@ -7,36 +7,21 @@ from collections.abc import Callable
 
 from kontur_av.errors import ConfigError
 from pipelines.partner.ice_servers import IceServer, IceServers, timed_credentials
-from pipelines.session.option_rows import add_options, refuse_options
+from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import StreamOptions
 from telepresence.private_file import read_secret
 
 #: The options of STUN and TURN servers.
-ICE = (*("ice_server", "turn_secret_file", "turn_user", "turn_password_file", "ice_relay_only"),)
+ICE = ("ice_server", "turn_secret_file", "turn_user", "turn_password_file", "ice_relay_only")
 #: What an HTTP header can carry (RFC 6750 section 2.1).
 _TOKEN = re.compile(r"[A-Za-z0-9._~+/=-]{1,4096}")
-
-
-def add_token_arguments(parser: argparse.ArgumentParser) -> None:
-    either = parser.add_mutually_exclusive_group()
-    add_options(
-        either,
-        "--token T  the bearer token that the server wants",
-        "--token-file FILE <Path>  the same in a file, hidden from other users",
-    )
-
-
-def add_redirect_argument(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        "--token-origin https://HOST <*>  another origin that gets the token after a redirect; "
-        "repeatable",
-    )
 
 
 def token_of(args: argparse.Namespace) -> str:
     """Return the token; "" for none. ConfigError for one that cannot be sent."""
     token: str = args.token or ""
+    if token and args.token_file is not None:
+        raise ConfigError("--token and --token-file: give one of them")
     if args.token_file is not None:
         token = read_secret(args.token_file, "--token-file")
     if token and _TOKEN.fullmatch(token) is None:
@@ -61,8 +46,6 @@ def ice_servers_of(args: StreamOptions, *, may_be_named: bool = False) -> Callab
     password_file = args.turn_password_file
     if (user is None) != (password_file is None):
         raise ConfigError("give both --turn-user and --turn-password-file, or neither")
-    if user is not None and secret_file is not None:
-        raise ConfigError("give either --turn-secret-file or --turn-user")
     secret = "" if secret_file is None else read_secret(secret_file, "--turn-secret-file")
     password = "" if password_file is None else read_secret(password_file, "--turn-password-file")
 

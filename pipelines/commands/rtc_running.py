@@ -17,13 +17,7 @@ from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.commands.rtc_options import ice_servers_of, token_of
 from pipelines.media.rtp_reports import latency_ms
-from pipelines.media.sending import (
-    add_picture_arguments,
-    add_source_arguments,
-    check_alone,
-    open_pictures,
-    open_sound,
-)
+from pipelines.media.sending import check_alone, open_pictures, open_sound
 from pipelines.partner.coded_sources import CodedSources
 from pipelines.partner.decisions import LEAST_BPS
 from pipelines.partner.description import Kind
@@ -35,14 +29,12 @@ from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
 from pipelines.recording.received_media import SoundLine, TimeLine
 from pipelines.session.command_process import say, stopped_by_signals
-from pipelines.session.option_rows import add_options
 from pipelines.session.options import stream_options
 
 _LOOK_S = 0.2
-
-
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, "--seconds", "--report")
+#: The common rows of what is sent, and of what becomes of what comes.
+SENDING = ("--video", "--audio", "--size", "--fps", "--video-kbps", "--voice-kbps")
+OUTPUT = ("--save", "--save-voice", "--raw")
 
 
 async def driven(
@@ -101,20 +93,6 @@ async def keep(
     return newest
 
 
-VIDEO_KBPS, VOICE_KBPS = 1500.0, 32.0
-
-
-def add_sending_arguments(parser: argparse.ArgumentParser) -> None:
-    add_source_arguments(parser)
-    add_picture_arguments(parser)
-    add_options(
-        parser,
-        f"--video-kbps K <float={VIDEO_KBPS}>  of the picture, less when the partner can take "
-        f"less (default: {VIDEO_KBPS:g})",
-        f"--voice-kbps K <float={VOICE_KBPS}>  of the voice (default: {VOICE_KBPS:g})",
-    )
-
-
 def sends_of(args: argparse.Namespace) -> dict[Kind, int]:
     """Return the bit/s of what is sent, by kind. ConfigError for rates that cannot work."""
     check_alone(args.video)
@@ -154,15 +132,6 @@ def coded_sources(
     if args.audio is not None:
         sources.add_sound(open_sound(args, clock), OpusEncoder(bitrate_bps=sends["audio"]))
     return sources
-
-
-def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        "--save FILE.mkv  write the picture as it comes",
-        "--save-voice FILE.mka  write the voice as it comes",
-        "--raw",
-    )
 
 
 class PartnerOutput:

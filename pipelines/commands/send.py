@@ -11,28 +11,24 @@ from kontur_av.rtp.sdp import write_sdp
 from kontur_av.streams.feeds import describe
 from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import check_options
-from pipelines.media.sending import (
-    SendShell,
-    add_picture_arguments,
-    add_source_arguments,
-    open_feed,
-)
+from pipelines.media.sending import SendShell, open_feed
 from pipelines.report.report_file import check_writable, end_with, write_text
 from pipelines.session.datagrams import check_reachable, parse_address
 from pipelines.session.option_rows import add_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_source_arguments(parser.add_mutually_exclusive_group(required=True))
+    add_options(parser.add_mutually_exclusive_group(required=True), "--video", "--audio")
     add_options(
         parser,
         "--to HOST:PORT <!>  RTCP goes to PORT+1",
         "--cap-kbps K <float!>  hard cap on RTP payload over any second, in kbit/s",
         "--channel-kbps C <float>  the rate at which packets of a picture leave (default: the cap)",
     )
-    add_picture_arguments(parser)
     add_options(
         parser,
+        "--size",
+        "--fps",
         "--coded-size WxH <=auto>  in which pictures are coded; receivers scale them up (default: "
         "auto, as large as there are bits for)",
         "--refresh-s S <float>  renew the whole picture every S seconds (default: "

@@ -1,4 +1,4 @@
-"""What `stream` is asked to run: the setup, joystick and robots, components, and tasks."""
+"""What `stream` is asked to run: setup, ends, joystick and robots, components, and tasks."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -6,22 +6,17 @@ from dataclasses import fields, replace
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
+from pipelines.link.own_ends import PeerPlan, chosen_end
 from pipelines.mission.mission import TaskOptions
 from pipelines.session.datagrams import split_address
 from pipelines.session.option_rows import refuse_options
-from pipelines.session.options import StreamOptions, asked_setup, declared, is_given
+from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
 from pipelines.session.setup.table import RtcLeg, Setup
-from pipelines.session.topology import (
-    JOYSTICK,
-    PAGES,
-    TASKS,
-    Segment,
-    SessionOptions,
-    Topology,
-)
+from pipelines.session.topology import JOYSTICK, PAGES, TASKS, Segment, SessionOptions, Topology
 from pipelines.table import topology_of
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import (
+    SIMULATED,
     capabilities_of,
     check_joystick,
     check_robot,
@@ -73,7 +68,7 @@ def asked_topology(
     asked = {
         field.name: is_given(args, field.name) if field.type is bool else getattr(args, field.name)
         for field in fields(SessionOptions)
-        if field.name in declared()
+        if field.name in OPTIONS
     }
     pages = args.page is not False
     asked |= {"pages": pages, "recorder": True, "tasks": tasks, "components": components}
@@ -137,3 +132,45 @@ def task_arguments(options: TaskOptions | None) -> Mapping[str, Mapping[str, obj
     if options.simulated and options.plan is not None:
         arguments[JOYSTICK] = {"skill": options.plan.skill}
     return arguments
+
+
+def inputs_here(topology: Topology) -> tuple[str, ...]:
+    """The names of the inputs that are captured on this machine."""
+    return tuple(row.name for row in topology.inputs if topology.runs(row.process))
+
+
+def ends_here(args: StreamOptions, setup: Setup) -> tuple[Topology, PeerPlan | None]:
+    """The table of the ends that run here, and the only one if it is alone.
+
+    ConfigError for the first option of `stream` that belongs to the other end.
+    """
+    plan = topology_of(setup)
+    one = chosen_end(args, plan)
+    if one is not None:
+        plan = replace(plan, segments=(one.segment,))
+        _check_own_options(args, plan, one.segment)
+    return plan, one
+
+
+def _check_own_options(args: StreamOptions, topology: Topology, end: Segment) -> None:
+    if end is Segment.GROUND and args.joystick != SIMULATED:
+        raise ConfigError("--joystick: the joystick is in space; give it at --end space")
+    if end is Segment.SPACE:
+        why = ": a partner joins the ground; give it at --end ground"
+        refuse_options(args, why, "rtc", "rtc_token_file", "rtc_hand_token_file", "ice_server")
+    here = inputs_here(topology)
+    for option in args.source:
+        name = option.partition("=")[0]
+        if name not in here:
+            raise ConfigError(
+                f"--source {option}: {name} is captured at --end {end.peer.value}; "
+                f"this end has {', '.join(here) or 'no input'}"
+            )
+    radio = topology.setup.radio_profile
+    if radio.timed and not (args.trainer and end is Segment.SPACE):
+        raise ConfigError(
+            f"radio {radio.name} changes with time, and both ends would have a time of their own: "
+            "give it at --end space with --trainer, and none at --end ground"
+        )
+    if args.bypass:
+        raise ConfigError("--bypass: both ends must be here; leave --end out")

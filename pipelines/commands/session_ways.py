@@ -1,6 +1,5 @@
 """How people and other programs reach a session: pages, a partner, outlets, packets and files."""
 
-import json
 import os
 import re
 import secrets
@@ -15,20 +14,21 @@ from kontur_av.topics.session_files import session_root
 from pipelines.commands.live_session import made_directory
 from pipelines.commands.rtc_options import ice_servers_of
 from pipelines.files.process_files import FilesPlan
-from pipelines.files.service_sockets import bound_services, services_options
+from pipelines.files.service_sockets import bound_services, checked_services
 from pipelines.packets.process_packets import checked_packets, parse_frames
 from pipelines.session.command_process import say
+from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import FILES_BPS, FILES_KBPS, RTC_PORT, StreamOptions
 from pipelines.session.page_sockets import HAND_TOKEN, PageListener, listeners
 from pipelines.session.served_pages import (
     ServerOptions,
+    announce,
     announced_pages,
     base_url,
     bound_pages,
     bound_server,
     parse_page,
     served,
-    write_private,
 )
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology import (
@@ -60,10 +60,9 @@ def bound_rtc(args: StreamOptions, setup: Setup, segments: Sequence[Segment]) ->
     ConfigError for options that cannot work, and for an address that cannot be had.
     """
     if setup.rtc is None or Segment.GROUND not in segments:
-        given = (args.rtc, args.rtc_token_file, args.rtc_hand_token_file, args.ice_server)
-        if any(option is not None for option in given):
-            why = "give --rtc, too" if setup.rtc is None else "the leg is at the ground's end"
-            raise ConfigError(f"--rtc-token-file and --ice-server belong to a partner: {why}")
+        why = "give --rtc, too" if setup.rtc is None else "the leg is at the ground's end"
+        why = f" belongs to a partner: {why}"
+        refuse_options(args, why, "rtc", "rtc_token_file", "rtc_hand_token_file", "ice_server")
         return []
     token, hand_token = (
         read_secret(path, option) if path is not None else secrets.token_urlsafe(24)
@@ -74,7 +73,7 @@ def bound_rtc(args: StreamOptions, setup: Setup, segments: Sequence[Segment]) ->
     )
     if hand_token == token:
         raise ConfigError("--rtc-hand-token-file: write another token than --rtc-token-file has")
-    server = bound_server(args.rtc or RTC_PORT, RTC, "--rtc", args.page_cert)
+    server = bound_server(args.rtc or RTC_PORT, RTC, option="--rtc", certificate=args.page_cert)
     people = {} if setup.partner_arm == "none" else {HAND_TOKEN: hand_token}
     return [partial(_announced_rtc, server, token, people, quiet=args.quiet)]
 
@@ -93,12 +92,8 @@ def _announced_rtc(
         page = listener.url(RTC)
         kept = {"page": page, "base": base_url(listener, RTC), "token": token}
         kept |= {f"{name}_token": hand_token for name, hand_token in people.items()}
-        write_private(root / "rtc.json", json.dumps(kept, indent=1) + "\n")
         lines = [f"partner {page}", *(f"its token to steer: {token}" for token in people.values())]
-        if made:
-            lines.append(f"its certificate was made for this session: {made}")
-        if not quiet:
-            say("\n".join(lines))
+        announce(root / "rtc.json", kept, lines, made, quiet=quiet)
         yield {RTC: listener}
 
 
@@ -115,20 +110,10 @@ def _announced_foxglove(
         listener = by_name[FOXGLOVE]
         url = listener.url(FOXGLOVE).replace("http", "ws", 1)
         watch = url.replace(listener.operator_token, listener.viewer_token)
-        write_private(root / "foxglove.json", json.dumps({"foxglove": url, "watch": watch}) + "\n")
-        if not quiet:
-            say(f"foxglove {url}\nto watch only: {watch}")
-            if made:
-                say(f"certificate made for foxglove, SHA-256 {made}")
+        kept = {"foxglove": url, "watch": watch}
+        lines = [f"foxglove {url}", f"to watch only: {watch}"]
+        announce(root / "foxglove.json", kept, lines, made, quiet=quiet)
         yield by_name
-
-
-def _bound_metrics(args: StreamOptions) -> _Announced:
-    """Bind what the option asks for; ConfigError if that cannot be."""
-    if find_spec("prometheus_client") is None:
-        raise ConfigError("--metrics needs prometheus-client: pip install 'kontur-av[metrics]'")
-    server = bound_server(args.metrics, METRICS, "--metrics")
-    return partial(_announced_metrics, server, quiet=args.quiet)
 
 
 @contextmanager
@@ -199,25 +184,26 @@ class SessionWays:
             RTC: {"servers": ice_servers_of(args)},
         }
         self._packets = checked_packets(args, topology)
-        self._services = services_options(args, segments)
+        checked_services(args, segments)
         self._files = files_arguments(args, segments, make=not dry)
         self._pages = bound_pages(args, segments)
         self._servers = bound_rtc(args, setup, segments)
         if args.metrics is not None:
-            self._servers.append(_bound_metrics(args))
+            if find_spec(package := "prometheus_client") is None:
+                raise ConfigError(f"--metrics needs {package}: pip install 'kontur-av[metrics]'")
+            server = bound_server(args.metrics, METRICS, option="--metrics")
+            self._servers.append(partial(_announced_metrics, server, quiet=args.quiet))
         if args.foxglove is not None:
-            server = bound_server(args.foxglove, FOXGLOVE, "--foxglove")
+            server = bound_server(args.foxglove, FOXGLOVE, option="--foxglove")
             self._servers.append(partial(_announced_foxglove, server, quiet=args.quiet))
 
     @contextmanager
     def opened(self, session: str) -> Iterator[tuple[_Listeners, _Arguments]]:
         """Print the addresses, and yield what the processes get; at the end all is closed."""
-        quiet, options = self._args.quiet, self._topology.options
+        options = self._topology.options
         with (
-            bound_services(self._services, self._files) as maintenance,
-            announced_pages(
-                self._pages, session, quiet=quiet, tasks=options.tasks, trainer=options.trainer
-            ) as pages,
+            bound_services(self._args, self._files, self._topology.segments) as maintenance,
+            announced_pages(self._pages, session, self._args, options) as pages,
             ExitStack() as opened,
             self._packets as packets,
         ):

@@ -12,12 +12,7 @@ from pipelines.report.model import SessionReport
 from pipelines.report.report_file import check_writable, end_report
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options, refuse_options
-from pipelines.session.options import (
-    add_coding_arguments,
-    add_session_options,
-    asked_setup,
-    stream_options,
-)
+from pipelines.session.options import add_session_options, asked_setup, stream_options
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import parse_selections
 from pipelines.virtual.simulate import replay, simulate
@@ -39,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replay FILE.mcap <Path>  send a recording again, with its setup, radio and seed unless "
         "others are given",
     )
-    add_coding_arguments(parser)
+    add_options(parser, "--recode", "--cap-kbps")
     add_session_options(
         parser, "radio", "radio_start", "radio_delay_ms", "seed", "deadband", "hand"
     )

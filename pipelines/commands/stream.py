@@ -7,13 +7,14 @@ from pathlib import Path
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.end_options import ends_here, inputs_here
 from pipelines.commands.live_session import end_session, made_directory, with_status
 from pipelines.commands.record import checked_options
 from pipelines.commands.session_parts import (
     asked_topology,
     checked_components,
     chosen_setup,
+    ends_here,
+    inputs_here,
     task_arguments,
     task_options,
 )
@@ -27,27 +28,21 @@ from pipelines.report.seat_feed import SeatFeed
 from pipelines.session.command_process import keep_words_apart, print_data, say
 from pipelines.session.kept_files import keep_latch
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
+from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_grouped_options
+from pipelines.session.recording_requests import write_request
 from pipelines.session.sessions import clear_dead_sessions, hold_session
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
-from pipelines.session.site_file import SiteOptions, site_options
-from pipelines.session.terminals import write_request
+from pipelines.session.site_file import SiteOptions, blamed, site_options
 from pipelines.session.topology import RECORDER, Segment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
-    parser.add_argument(
-        "site",
-        nargs="?",
-        type=Path,
-        metavar="FILE.toml",
-        help="a site file: any of the options below (docs/setups.md)",
-    )
-    parser.add_argument(
-        "--explain",
-        action="store_true",
-        help="print what the session would run with, and where each value comes from",
+    add_options(
+        parser,
+        "site FILE.toml <Path?>  a site file: any of the options below (docs/setups.md)",
+        "--explain  print what the session would run with, and where each value comes from",
     )
     add_grouped_options(parser)
 
@@ -56,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the session; 1 if its report names a failure."""
     site = site_options(args)
     keep_words_apart(site.options)
-    with site.blamed():
+    with blamed(site.settings):
         return _run(site, dry=args.explain)
 
 
@@ -93,7 +88,7 @@ def _run(site: SiteOptions, *, dry: bool) -> int:
     collector = Collector(topology)
     if end is not None and not args.quiet:
         say(path_line(end))
-    peer = {} if end is None else {topology.gateway(end.segment).name: {"peer": end.plan}}
+    peer = {} if end is None else {topology.gateway(end.segment).name: {"peer": end}}
     with (
         hold_session(setup.name, end="" if end is None else end.segment.value) as session,
         ways.opened(session) as (listeners, arguments),
@@ -124,4 +119,4 @@ def _run(site: SiteOptions, *, dry: bool) -> int:
         )
         launcher.run(args.seconds)
     held.close()
-    return end_session(collector, launcher, report_file=args.report, quiet=args.quiet)
+    return end_session(args, collector, launcher)

@@ -17,8 +17,8 @@ from pipelines.mission.tmtc_messages import (
 from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
+from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminals import running_sessions
 from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.xtce import dictionary_xtce
@@ -27,22 +27,15 @@ _CLIENT = "kontur-av tc"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, "application APPLICATION <?>  for example joystick or robot")
-    parser.add_argument(
-        "words",
-        nargs="*",
-        metavar="WHAT",
-        help="a function with its arguments, such as halt; or ping, report NAME, on NAME, "
-        "off NAME, get NAME..., set NAME=VALUE...",
-    )
-    parser.add_argument(
-        "--from",
-        dest="origin",
-        choices=[segment.value for segment in Segment],
-        help="the end that sends it; default: the one across the radio, if it runs here",
-    )
     add_options(
-        parser, "--session", "--xtce  print the dictionary as XTCE, for other ground systems"
+        parser,
+        "application APPLICATION <?>  for example joystick or robot",
+        "words WHAT <...>  a function with its arguments, such as halt; or ping, report NAME, on "
+        "NAME, off NAME, get NAME..., set NAME=VALUE...",
+        "--from <ground|space>  the end that sends it; default: the one across the radio, if it "
+        "runs here",
+        "--session",
+        "--xtce  print the dictionary as XTCE, for other ground systems",
     )
     parser.description = (
         "Send a telecommand, wait for its verification and print it. Without WHAT, list what an "
@@ -59,9 +52,10 @@ def run(args: argparse.Namespace) -> int:
     # Users' components are on the ground.
     ends = {one.name: one.end for one in built_in.applications}
     end = Segment(ends.get(args.application, Segment.GROUND.value))
-    origin = Segment(args.origin) if args.origin else end.peer
+    sender: str | None = vars(args)["from"]
+    origin = Segment(sender) if sender else end.peer
     running = running_sessions(tmtc_socket_name(origin))
-    if not running and args.origin is None:
+    if not running and sender is None:
         # On a machine of its own, this end sends it to its own application.
         origin = end
         running = running_sessions(tmtc_socket_name(origin))
@@ -73,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if session is None:
         raise ConfigError(
-            f"no session with its end {args.origin or end.peer.value} runs here: "
+            f"no session with its end {sender or end.peer.value} runs here: "
             "start one with kontur-av stream"
         )
     with TopicBus.join(session) as bus:
@@ -88,7 +82,7 @@ def _print_known(args: argparse.Namespace) -> None:
     if running:
         dictionary = read_dictionary(acting_on(args.session, running))
     if args.xtce:
-        print_data(dictionary_xtce(dictionary, args.origin or Segment.GROUND.value))
+        print_data(dictionary_xtce(dictionary, vars(args)["from"] or Segment.GROUND.value))
     elif args.application is not None:
         _list(dictionary.application(args.application))
     else:

@@ -7,18 +7,8 @@ from contextlib import closing
 
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
-from pipelines.commands.rtc_options import (
-    ICE,
-    add_redirect_argument,
-    add_token_arguments,
-)
-from pipelines.commands.rtc_running import (
-    PartnerOutput,
-    add_output_arguments,
-    add_run_arguments,
-    keep,
-    keeper_of,
-)
+from pipelines.commands.rtc_options import ICE
+from pipelines.commands.rtc_running import OUTPUT, PartnerOutput, keep, keeper_of
 from pipelines.partner.ice_servers import IceServers
 from pipelines.partner.peer import RtcCommandReport, RtcPeer
 from pipelines.report.report_file import end_with
@@ -27,12 +17,9 @@ from pipelines.session.options import add_session_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, "--whep URL <!>  the endpoint (draft-ietf-wish-whep)")
-    add_token_arguments(parser)
-    add_redirect_argument(parser)
-    add_output_arguments(parser)
-    add_session_options(parser, *ICE)
-    add_run_arguments(parser)
+    row = "--whep URL <!>  the endpoint (draft-ietf-wish-whep)"
+    add_options(parser, row, "--token", "--token-file", "--token-origin", *OUTPUT)
+    add_session_options(parser, *ICE, "seconds", "report")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from errno import EINPROGRESS
-from typing import NamedTuple
 
 from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import LOOPBACK, Address, bound_socket, resolve
@@ -166,20 +165,37 @@ def _cut(link: socket.socket) -> None:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
 
 
-class ServicesOptions(NamedTuple):
-    """The services asked for, by name. ports: those to which programs at the end `here` connect.
+@contextmanager
+def bound_services(
+    args: StreamOptions, files: Mapping[str, Mapping[str, object]], segments: Sequence[Segment]
+) -> Iterator[Mapping[str, Mapping[str, object]]]:
+    """Yield the arguments by process, with `services` added. ConfigError if a port is taken."""
+    ports, targets = checked_services(args, segments)
+    # Programs connect at the ground, if it is here, and to those in space.
+    here, there = FILES[segments[0]], FILES[segments[-1]]
+    with ExitStack() as stack:
+        listeners = {
+            name: stack.enter_context(_listener(name, port)) for name, port in ports.items()
+        }
+        plans = {
+            process: {
+                "services": ServicesPlan(
+                    listeners=listeners if process == here else {},
+                    targets=targets if process == there else {},
+                )
+            }
+            for process in FILES.values()
+        }
+        yield {process: {**own, **plans.get(process, {})} for process, own in files.items()}
 
-    targets: the addresses at the end `there` to which streams are connected.
+
+def checked_services(
+    args: StreamOptions, segments: Sequence[Segment]
+) -> tuple[Mapping[str, int], Mapping[str, Address]]:
+    """By service, the port to which programs connect, and the address of the other end's.
+
+    Raises ConfigError for values that do not fit.
     """
-
-    here: Segment
-    there: Segment
-    ports: Mapping[str, int]
-    targets: Mapping[str, Address]
-
-
-def services_options(args: StreamOptions, segments: Sequence[Segment]) -> ServicesOptions:
-    """Return the services of the options. Raises ConfigError for values that do not fit."""
     ports = _table(args.service, LISTEN, r"(\d{1,5})", "NAME=PORT, like ssh=2222")
     allowed = _table(
         args.service_allow, ALLOW, r"([^:]+):(\d{1,5})", "NAME=HOST:PORT, like ssh=127.0.0.1:22"
@@ -190,40 +206,10 @@ def services_options(args: StreamOptions, segments: Sequence[Segment]) -> Servic
     for name in sorted(ports.keys() ^ allowed.keys()) if len(segments) > 1 else ():
         lacking = f"{ALLOW} {name}=HOST:PORT" if name in ports else f"{LISTEN} {name}=PORT"
         raise ConfigError(f"service {name}: both ends are here: give {lacking}, too")
-    return ServicesOptions(
-        Segment.GROUND if Segment.GROUND in segments else Segment.SPACE,
-        Segment.SPACE if Segment.SPACE in segments else Segment.GROUND,
-        {name: int(match[1]) for name, match in ports.items()},
-        {
-            name: (resolve(match[1], match.string, ALLOW, socket.AF_INET), int(match[2]))
-            for name, match in allowed.items()
-        },
-    )
-
-
-@contextmanager
-def bound_services(
-    options: ServicesOptions, files: Mapping[str, Mapping[str, object]]
-) -> Iterator[Mapping[str, Mapping[str, object]]]:
-    """Yield the arguments by process, with `services` added. ConfigError if a port is taken."""
-    with ExitStack() as stack:
-        listeners = {
-            name: stack.enter_context(_listener(name, port)) for name, port in options.ports.items()
-        }
-        yield {
-            **files,
-            **{
-                name: {
-                    **files[name],
-                    "services": ServicesPlan(
-                        listeners=listeners if name == FILES[options.here] else {},
-                        targets=options.targets if name == FILES[options.there] else {},
-                    ),
-                }
-                for name in FILES.values()
-                if name in files
-            },
-        }
+    return {name: int(match[1]) for name, match in ports.items()}, {
+        name: (resolve(match[1], match.string, ALLOW, socket.AF_INET), int(match[2]))
+        for name, match in allowed.items()
+    }
 
 
 def _table(options: Sequence[str], option: str, rest: str, fits: str) -> dict[str, re.Match[str]]:

@@ -49,12 +49,13 @@ class Protection:
 
 @dataclass(frozen=True, kw_only=True)
 class PeerPlan:
-    """How one end reaches the other: it listens at `bind`, or calls `peer`.
+    """How the only end here reaches the other: it listens at `bind`, or calls `peer`.
 
-    bind: local address; port 0 for any. peer: None for an end that waits to be called.
-    protection: None for a path in the clear.
+    segment: of the end. bind: local address; port 0 for any. peer: None for an end that waits to be
+    called. protection: None for a path in the clear.
     """
 
+    segment: Segment
     bind: Address
     peer: Address | None
     protection: Protection | None
@@ -139,15 +140,7 @@ _ANY = "0.0.0.0"
 INSECURE = "this path is not protected: anybody on it can read, change and steer"
 
 
-@dataclass(frozen=True, kw_only=True)
-class EndChoice:
-    """The end that runs here alone, and how it reaches the other."""
-
-    segment: Segment
-    plan: PeerPlan
-
-
-def chosen_end(args: StreamOptions, topology: Topology) -> EndChoice | None:
+def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
     """The end that the options name; None: both run here. ConfigError if it cannot work."""
     if args.end is None:
         why = " is for one end alone: add --end ground or --end space"
@@ -155,20 +148,17 @@ def chosen_end(args: StreamOptions, topology: Topology) -> EndChoice | None:
         return None
     segment = Segment(args.end)
     bind, peer = _addresses(args, topology)
-    return EndChoice(
-        segment=segment, plan=PeerPlan(bind=bind, peer=peer, protection=_protection(args))
-    )
+    return PeerPlan(segment=segment, bind=bind, peer=peer, protection=_protection(args))
 
 
-def hold_listen_port(choice: EndChoice) -> None:
+def hold_listen_port(plan: PeerPlan) -> None:
     """ConfigError if the port at which this end is to listen is busy."""
-    address, port = choice.plan.bind
+    address, port = plan.bind
     hold_port(port, address).close()
 
 
-def path_line(choice: EndChoice) -> str:
+def path_line(plan: PeerPlan) -> str:
     """How this end reaches the other, in one line for people."""
-    plan = choice.plan
     where = (
         f"listens at {plan.bind[0]}:{plan.bind[1]}"
         if plan.peer is None
@@ -176,8 +166,8 @@ def path_line(choice: EndChoice) -> str:
     )
     protection = plan.protection
     if protection is None:
-        return f"{choice.segment.value} end {where}; WARNING: {INSECURE}"
-    return f"{choice.segment.value} end {where}; it trusts {protection.peer} only"
+        return f"{plan.segment.value} end {where}; WARNING: {INSECURE}"
+    return f"{plan.segment.value} end {where}; it trusts {protection.peer} only"
 
 
 def _addresses(args: StreamOptions, topology: Topology) -> tuple[Address, Address | None]:
@@ -220,9 +210,6 @@ def check_one_machine(option: str, text: str, address: str) -> None:
 
 def _protection(args: StreamOptions) -> Protection | None:
     if args.insecure:
-        for option in ("key", "identity"):
-            if getattr(args, option) is not None:
-                raise ConfigError(f"--insecure uses no keys: leave --{option} out, or --insecure")
         return None
     # Not loaded by a session of one machine.
     from pipelines.link.key_files import default_key_path, pinned_peer, read_key

@@ -21,7 +21,6 @@ from pipelines.media.rtp_reports import (
     latency_ms,
 )
 from pipelines.session.command_process import reader_gone, say, stopped_by_signals
-from pipelines.session.option_rows import add_options
 
 _LONGEST_WAIT_NS = 100 * NS_PER_MS
 
@@ -125,19 +124,6 @@ class SendShell:
             coded_size=feed.coded_size if isinstance(feed, PictureFeed) else None,
             failed=failed,
         )
-
-
-def add_source_arguments(parser: argparse._ActionsContainer) -> None:
-    """`--video` and `--audio`."""
-    spec = "FILE, pipe:PATH, v4l2:DEVICE or scene:NAME"
-    parser.add_argument("--video", metavar="SPEC", help=f"the picture to send: {spec}")
-    parser.add_argument(
-        "--audio", metavar="SPEC", help=f"the voice to send: {spec.replace('v4l2', 'alsa')}"
-    )
-
-
-def add_picture_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(parser, "--size WxH <=640x480>  default: 640x480", "--fps N <int=30>  default: 30")
 
 
 def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:

@@ -11,7 +11,6 @@ outlives the process.
 import secrets
 from collections import deque
 from collections.abc import Callable
-from socket import socket
 from typing import Any
 
 import msgspec
@@ -24,9 +23,16 @@ from pipelines.link.link_metrics import link_state_topic
 from pipelines.media.following import FOLLOWED_TOPIC, SELECTED_TOPIC
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.component_service import ComponentService
-from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, TMTC_TOPICS, FunctionAsked, Values
+from pipelines.mission.tmtc_messages import (
+    MAX_NEWS_OCTETS,
+    MAX_REQUEST_OCTETS,
+    TMTC_TOPICS,
+    FunctionAsked,
+    TmtcRequest,
+    Values,
+)
 from pipelines.mission.tmtc_segment import TmtcSegment
-from pipelines.mission.tmtc_socket import TmtcSocket, send_to_tmtc, write_dictionary
+from pipelines.mission.tmtc_socket import send_to_tmtc, tmtc_socket_name, write_dictionary
 from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import (
     MISSION_CAMERA_TOPIC,
@@ -35,6 +41,7 @@ from pipelines.session.mission_messages import (
     ROBOT_TOPIC,
 )
 from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.requests import RequestServer
 from pipelines.session.session_metrics import ProcessState
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import (
@@ -120,13 +127,16 @@ class TmtcServer:
             self._topics.append((statuses, robot.handle_status))
         make_session_root(context.session)
         write_dictionary(context.session, tmtc.dictionary)
-        self._requests = TmtcSocket(context.session, segment)
+        self._now_ns = now_ns
+        #: Wait for it, too.
+        self.requests = RequestServer(
+            context,
+            tmtc_socket_name(segment),
+            TmtcRequest,
+            lambda request, _: self.end.handle_request(request, self._now_ns),
+            most_octets=MAX_REQUEST_OCTETS,
+        )
         context.on_flush(lambda: self.end.publish(context.probe))
-
-    @property
-    def socket(self) -> socket:
-        """What to wait for besides time: requests."""
-        return self._requests.socket
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
         """A datagram of the flow; False if it is not one of PUS. Call `work` afterwards."""
@@ -139,8 +149,8 @@ class TmtcServer:
         for reader, take in self._topics:
             while (sample := reader.next()) is not None:
                 take(sample, now_ns)
-        while (request := self._requests.receive()) is not None:
-            end.handle_octets(request, now_ns)
+        self._now_ns = now_ns
+        self.requests.serve()
         while (told := self._context.receive_metrics()) is not None:
             tmtc.handle_processes(_STATES_TOLD.decode(told), now_ns)
         while (packet := end.poll_transmit(now_ns)) is not None:
@@ -162,10 +172,6 @@ class TmtcServer:
         """How long nothing has to be done without a request or a packet, at most `most_ns`."""
         due_ns = self.end.poll_timeout(now_ns)
         return most_ns if due_ns is None else min(most_ns, max(0, due_ns - now_ns))
-
-    def close(self) -> None:
-        """Take no more requests."""
-        self._requests.close()
 
 
 def run_selector(context: Context) -> None:
@@ -189,7 +195,7 @@ def run_selector(context: Context) -> None:
         newest_request = -1
         asked: deque[FunctionAsked] = deque()
         service = TmtcServer(context, bus, Segment.GROUND, to_gateway, asked.append)
-        waiter = bus.waiter([followed.open()], [udp.fileno(), service.socket.fileno()])
+        waiter = bus.waiter([followed.open()], [udp.fileno(), service.requests.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -214,7 +220,7 @@ def run_selector(context: Context) -> None:
             wait_ns = 0 if asked else min(TIMEOUT_NS, choice.poll_timeout() - now_ns)
             waiter.wait(service.wait_ns(now_ns, max(0, wait_ns)))
         del waiter
-        service.close()
+        service.requests.close()
 
 
 def run_console(context: Context) -> None:
@@ -227,7 +233,7 @@ def run_console(context: Context) -> None:
         if context.setup.hand != "direct":
             walls = TopicWriter(bus, WALL_TOPIC)
         service = TmtcServer(context, bus, Segment.SPACE, to_gateway)
-        waiter = bus.waiter([], [udp.fileno(), service.socket.fileno()])
+        waiter = bus.waiter([], [udp.fileno(), service.requests.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -240,7 +246,7 @@ def run_console(context: Context) -> None:
             service.work(now_ns)
             waiter.wait(service.wait_ns(now_ns, TIMEOUT_NS))
         del waiter
-        service.close()
+        service.requests.close()
 
 
 _DEPTH = 32

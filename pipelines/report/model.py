@@ -395,7 +395,8 @@ class ProcessReport(Report, frozen=True, kw_only=True):
     restarts: int
     #: The last fault of an input's source.
     source_fault: str | None = None
-    #: `fifo`: with real-time priority; `idle`: behind all others; or `other`.
+    #: `fifo`: with real-time priority; `too_busy`: without, it took more than half a core; `idle`:
+    #: behind all others; or `other`.
     scheduler: str | None = None
     #: Why it last ended unasked.
     last_error: str | None = None

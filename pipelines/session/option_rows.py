@@ -43,6 +43,22 @@ COMMON_ROWS = {
         "--report FILE <Path>  write the report as JSON",
         "--base-port P <int>  first of the 40 UDP ports",
         "-q, --quiet  show nothing but mistakes",
+        "--token T  the bearer token that the server wants",
+        "--token-file FILE <Path>  the same in a file, hidden from other users",
+        "--token-origin https://HOST <*>  another origin that gets the token after a redirect; "
+        "repeatable",
+        "--video SPEC  the picture to send: FILE, pipe:PATH, v4l2:DEVICE or scene:NAME",
+        "--audio SPEC  the voice to send: FILE, pipe:PATH, alsa:DEVICE or scene:NAME",
+        "--size WxH <=640x480>  default: 640x480",
+        "--fps N <int=30>  default: 30",
+        "--video-kbps K <float=1500.0>  of the picture, less when the partner can take less "
+        "(default: 1500)",
+        "--voice-kbps K <float=32.0>  of the voice (default: 32)",
+        "--save FILE.mkv  write the picture as it comes",
+        "--save-voice FILE.mka  write the voice as it comes",
+        "--recode  code the recorded pictures anew, by the session's encoder",
+        "--cap-kbps STREAM=KBPS <*>  another cap for a replayed stream, like uplink_video=60; "
+        "repeatable",
     )
 }
 

@@ -5,14 +5,15 @@ Arguments of the commands, keys of site files, `stream --explain` and the docume
 """
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from kontur_av.errors import ConfigError
-from pipelines.session.option_rows import COMMON_ROWS, add_options
+from pipelines.session.option_rows import COMMON_ROWS
 from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
@@ -32,28 +33,24 @@ FILES_KBPS = ",".join(f"{bps / 1000:g}" for bps in FILES_BPS.values())
 GROUPS = ("session", "inputs", "robot", "radio", "pages", "outlets")
 
 
-def _group(group: str, *, first: bool) -> Callable[..., Any]:
-    """Return what declares an option of this group. first: the short help has it."""
+def _declare(group: str, row: str, default: object = None, **more: object) -> Any:
+    """A field of `StreamOptions`. row: `NAME METAVAR  HELP`, or a common row's first name.
 
-    def declare(row: str = "", default: object = None, **more: object) -> Any:
-        """A field of `StreamOptions`. row: `METAVAR  HELP`; of flags and choices only HELP.
+    NAME is a short second name. Flags and choices have no METAVAR. `*` begins a row that the short
+    help has. more, as metadata: `bare`, the value of the option without one; `off`, the help of
+    `--no-NAME`; `rivals`, the options that it replaces, and that cannot be given with it; `like`,
+    its values in a file.
+    """
+    first, row = row.startswith("*"), row.removeprefix("*")
+    head, _, text = COMMON_ROWS.get(row, row).rpartition("  ")
+    words = head.replace(",", "").split()
+    metavar = " ".join(word for word in words if not word.startswith(("-", "<")))
+    short = [word for word in words if re.fullmatch("-[a-z]", word)]
+    more |= {"group": group, "first": first, "metavar": metavar, "text": text, "short": short}
+    return field(default=() if metavar.startswith("NAME=") else default, metadata=more)
 
-        Without a row it is the common one of that name. more, as metadata: `short`, a second name;
-        `bare`, the value of the option without one; `off`, the help of `--no-NAME`; `rivals`, the
-        options that it replaces, and that cannot be given with it; `like`, its values in a file.
-        """
-        default = () if row.startswith("NAME=") else default
-        return field(default=default, metadata={"group": group, "row": row, "first": first, **more})
 
-    return declare
-
-
-_session, _inputs, _robot, _radio, _pages, _outlets = (
-    _group(group, first=True) for group in GROUPS
-)
-_session_more, _, _robot_more, _radio_more, _pages_more, _outlets_more = (
-    _group(group, first=False) for group in GROUPS
-)
+_session, _inputs, _robot, _radio, _pages, _outlets = (partial(_declare, group) for group in GROUPS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,191 +58,192 @@ class StreamOptions:
     """What the user asks of a session, by command line and site file."""
 
     setup: str | Mapping[str, Any] | None = _session(
-        "NAME  spacejustin, taskboard or FILE.toml", like="a name or a table [setup]"
+        "*NAME  spacejustin, taskboard or FILE.toml", like="a name or a table [setup]"
     )
-    seconds: float | None = _session()
-    record: Path | None = _session("FILE.mcap  record the session")
-    report: Path | None = _session()
+    seconds: float | None = _session("*--seconds")
+    record: Path | None = _session("*FILE.mcap  record the session")
+    report: Path | None = _session("*--report")
     tasks: tuple[Path, ...] | None = _session(
-        "FILE.xml  have tasks for people; with files, further ones", bare=()
+        "*FILE.xml  have tasks for people; with files, further ones", bare=()
     )
-    quiet: bool = _session("", False, short="-q", rivals=("verbose",))
-    overwrite: bool = _session_more("replace a recording of that name", False)
-    link_frames: bool = _session_more("record every frame of the radio link, too", False)
-    part_seconds: float = _session_more(
+    quiet: bool = _session("*-q", False, rivals=("verbose",))
+    overwrite: bool = _session("replace a recording of that name", False)
+    link_frames: bool = _session("record every frame of the radio link, too", False)
+    part_seconds: float = _session(
         "S  begin a new part of the recording after S seconds (default 600)", 600.0
     )
-    part_mb: float = _session_more("M  or after M MB (default 256)", 256.0)
-    snapshots: Path | None = _session_more("DIR  keep what is shown as PNG")
-    plan: Path | None = _session_more(
-        "PLAN.toml  select the tasks of a plan; with a simulated joystick a simulated cosmonaut "
-        "does them"
+    part_mb: float = _session("M  or after M MB (default 256)", 256.0)
+    snapshots: Path | None = _session("DIR  keep what is shown as PNG")
+    plan: Path | None = _session(
+        "PLAN.toml  a plan's tasks; with a simulated joystick a simulated cosmonaut does them"
     )
-    leds: str | None = _session_more(
-        "HOST:PORT  of an LED panel that takes the place of the built-in"
-    )
-    runs: Path | None = _session_more("DIR  record each run of a task into a file there")
-    telemetry: tuple[str, ...] = _session_more(
+    leds: str | None = _session("HOST:PORT  of an LED panel that takes the place of the built-in")
+    runs: Path | None = _session("DIR  record each run of a task into a file there")
+    telemetry: tuple[str, ...] = _session(
         "SPEC  your component in telemetry: module:Class, at both ends; repeatable", ()
     )
-    trainer: bool = _session_more(
+    trainer: bool = _session(
         "heed `kontur-av trainer`; with --end space, the radio of both directions is here", False
     )
-    base_port: int | None = _session_more()
-    verbose: bool = _session_more("show each process' CPU", False, short="-v", rivals=("quiet",))
+    base_port: int | None = _session("--base-port")
+    verbose: bool = _session("-v  show each process' CPU", False, rivals=("quiet",))
 
     source: tuple[str, ...] = _inputs(
-        "NAME=SPEC  what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, "
+        "*NAME=SPEC  what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, "
         "v4l2:DEVICE, alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a "
         "program; repeatable"
     )
 
     robot: str = _robot(
-        "SPEC  sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
+        "*SPEC  sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
         SIMULATED_ROBOT,
     )
     joystick: str = _robot(
-        "SPEC  sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
+        "*SPEC  sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
         "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
         "sim); see `kontur-av joystick list`",
         SIMULATED,
     )
-    second_robot: str = _robot_more("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT)
-    hand: HandMode | None = _robot_more(
+    second_robot: str = _robot("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT)
+    hand: HandMode | None = _robot(
         "what the hand feels: the robot's delayed force (direct, the default), the wall that the "
         "robot's side has estimated, rendered at the joystick (mediated), or that wall and all "
         "other force directly (auto)"
     )
-    deadband: Deadband | None = _robot_more(
+    deadband: Deadband | None = _robot(
         "leave out haptic samples that nobody would miss; the uplink video gets their room, as a "
         "higher rate (picture, the default) or a lower delay (latency)",
         bare="picture",
     )
 
     radio: str | None = _radio(
-        f"PROFILE  {', '.join(RADIOS)} or FILE.toml", rivals=("radio_delay_ms",)
+        f"*PROFILE  {', '.join(RADIOS)} or FILE.toml", rivals=("radio_delay_ms",)
     )
     end: Literal["ground", "space"] | None = _radio(
-        "run this end alone; the other runs on another machine"
+        "*run this end alone; the other runs on another machine"
     )
     listen: str | None = _radio(
-        "ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
+        "*ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
         rivals=("peer",),
     )
     peer: str | None = _radio(
-        "HOST:PORT  with --end: call the other end, which listens there", rivals=("listen",)
+        "*HOST:PORT  with --end: call the other end, which listens there", rivals=("listen",)
     )
-    radio_start: float | None = _radio_more(
+    radio_start: float | None = _radio(
         "S  begin S seconds after a pass's acquisition of signal (negative: before it)"
     )
-    radio_delay_ms: float | None = _radio_more("D  a cable with a delay one way", rivals=("radio",))
-    seed: int = _radio_more("N  seed of the radio's random losses", 0)
-    key: Path | None = _radio_more()
-    identity: str | None = _radio_more(
-        "ID  with --end: the other machine's identity, if several are trusted"
+    radio_delay_ms: float | None = _radio("D  a cable with a delay one way", rivals=("radio",))
+    seed: int = _radio("N  seed of the radio's random losses", 0)
+    key: Path | None = _radio("--key", rivals=("insecure",))
+    identity: str | None = _radio(
+        "ID  with --end: the other machine's identity, if several are trusted",
+        rivals=("insecure",),
     )
-    insecure: bool = _radio_more(
-        "with --end: neither encrypt nor authenticate; on a private network only", False
+    insecure: bool = _radio(
+        "with --end: neither encrypt nor authenticate; on a private network only",
+        False,
+        rivals=("key", "identity"),
     )
-    bypass: bool = _radio_more(
+    bypass: bool = _radio(
         "for tests, with both ends here: join the programs directly, past gateways and radio", False
     )
 
     page: str | bool | None = _pages(
-        f"[HOST:]PORT  where the browser pages are served (default 127.0.0.1:{PAGE_PORT}, or the "
+        f"*[HOST:]PORT  where the browser pages are served (default 127.0.0.1:{PAGE_PORT}, or the "
         "next free ports); TLS beyond loopback",
         off="serve no browser pages",
     )
-    open: bool = _pages("open the first page in a browser", False)
-    page_cert: Path | None = _pages_more(
+    open: bool = _pages("*open the first page in a browser", False)
+    page_cert: Path | None = _pages(
         "FILE  PEM file with certificate and key for the pages (default: made for the session)"
     )
-    rtc: str | None = _pages_more(
+    rtc: str | None = _pages(
         "[HOST:]PORT  serve a partner across the Internet by WebRTC: it sees and hears both "
         f"sides, and is seen and heard at the ground (default 127.0.0.1:{RTC_PORT}); TLS beyond "
         "loopback",
         bare=RTC_PORT,
     )
-    rtc_token_file: Path | None = _pages_more(
+    rtc_token_file: Path | None = _pages(
         "FILE  the partner's token to watch and to send (default: a new one for each session)"
     )
-    rtc_hand_token_file: Path | None = _pages_more(
+    rtc_hand_token_file: Path | None = _pages(
         "FILE  its token to steer (default: a new one for each session)"
     )
-    ice_server: str | None = _pages_more(
+    ice_server: str | None = _pages(
         "URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media "
         "server names, if there is one)"
     )
-    turn_secret_file: Path | None = _pages_more(
-        "FILE  the secret shared with a TURN server, for credentials of one hour (coturn's "
-        "use-auth-secret)"
+    turn_secret_file: Path | None = _pages(
+        "FILE  shared with a TURN server, for credentials of one hour (coturn's use-auth-secret)",
+        rivals=("turn_user",),
     )
-    turn_user: str | None = _pages_more("USER  a lasting user name of the server")
-    turn_password_file: Path | None = _pages_more("FILE  with --turn-user")
-    ice_relay_only: bool = _pages_more(
+    turn_user: str | None = _pages(
+        "USER  a lasting user name of the server", rivals=("turn_secret_file",)
+    )
+    turn_password_file: Path | None = _pages("FILE  with --turn-user")
+    ice_relay_only: bool = _pages(
         "go through the TURN server only, and tell no address of this machine", False
     )
 
     metrics: str | None = _outlets(
-        "[HOST:]PORT  serve all figures to Prometheus at /metrics, and /healthz (default "
+        "*[HOST:]PORT  serve all figures to Prometheus at /metrics, and /healthz (default "
         "127.0.0.1:9270); everyone who reaches the port can read them",
         bare="9270",
     )
     foxglove: str | None = _outlets(
-        "[HOST:]PORT  serve the channels of a recording to Foxglove and Lichtblick (default "
+        "*[HOST:]PORT  serve the channels of a recording to Foxglove and Lichtblick (default "
         "127.0.0.1:8765); TLS beyond loopback",
         bare="8765",
     )
     ros2: str | None = _outlets(
-        "[HOST:]PORT  be a node of a ROS 2 system, by the router of rmw_zenoh at this place "
+        "*[HOST:]PORT  be a node of a ROS 2 system, by the router of rmw_zenoh at this place "
         "(default 127.0.0.1:7447), in the domain of ROS_DOMAIN_ID; everyone who reaches the "
         "router can see and hear the session",
         bare="7447",
     )
     files: Path | None = _outlets(
-        "DIR  carry files: the ground's end has DIR/ground, space has DIR/space; see `kontur-av "
+        "*DIR  carry files: the ground's end has DIR/ground, space has DIR/space; see `kontur-av "
         "file`"
     )
-    packets: str | None = _outlets_more(
+    packets: str | None = _outlets(
         "tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and take its "
         "telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at PORT + 1"
     )
-    packets_allow: tuple[str, ...] = _outlets_more(
+    packets_allow: tuple[str, ...] = _outlets(
         "WHAT  telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
         "repeatable (default: questions alone)",
         (),
     )
-    frames: str | None = _outlets_more(
+    frames: str | None = _outlets(
         "udp:HOST:PORT  send copies of the radio link's frames to another ground system: the "
         "downlink's to PORT, the uplink's to PORT + 1"
     )
-    files_rate: str | None = _outlets_more(
+    files_rate: str | None = _outlets(
         "UP,DOWN  the most that files take, in kbit/s from the ground and from space (default "
         f"{FILES_KBPS}); media always go first",
         like="two numbers, like [8, 200]",
     )
-    service: tuple[str, ...] = _outlets_more(
+    service: tuple[str, ...] = _outlets(
         "NAME=PORT  lead TCP connections to PORT of this machine to the other end's service NAME; "
         "with both ends here, from the ground to space; needs --files; repeatable"
     )
-    service_allow: tuple[str, ...] = _outlets_more(
+    service_allow: tuple[str, ...] = _outlets(
         "NAME=HOST:PORT  let the other end connect to HOST:PORT as service NAME; repeatable"
     )
 
     def __post_init__(self) -> None:
-        for name, option in declared().items():
+        for name, option in OPTIONS.items():
             for rival in option.metadata.get("rivals", ()):
                 if is_given(self, name) and is_given(self, rival) and name < rival:
                     raise ConfigError(f"{flag(name)} and {flag(rival)}: give one of them")
 
 
-@cache
-def declared() -> Mapping[str, Field[Any]]:
-    return {option.name: option for option in fields(StreamOptions)}
+#: By name.
+OPTIONS: Mapping[str, Field[Any]] = {option.name: option for option in fields(StreamOptions)}
 
 
 @cache
-def hint_of(name: str) -> tuple[Any, ...]:
+def kinds_of(name: str) -> tuple[Any, ...]:
     """The types of an option's value, without None: a tuple's first."""
     hint = get_type_hints(StreamOptions)[name]
     kinds = (hint,) if get_origin(hint) in (None, tuple, Literal) else get_args(hint)
@@ -262,13 +260,11 @@ def flag(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-class _Help(argparse.Action):
-    """Prints the help, without these actions."""
-
-    hidden: Iterable[argparse.Action] = ()
+class _ShortHelp(argparse.Action):
+    """Prints the help without the actions in `const`."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        for action in self.hidden:
+        for action in self.const:
             action.help = argparse.SUPPRESS
         parser.print_help()
         parser.exit()
@@ -279,24 +275,18 @@ def add_grouped_options(parser: argparse.ArgumentParser) -> None:
 
     They have no defaults here, because a site file may give a value. `--no-NAME` takes it back.
     """
+    rare: list[argparse.Action] = []
     unset: Mapping[str, Any] = {"default": argparse.SUPPRESS}
-    short, _ = (
-        parser.add_argument(*names, action=_Help, nargs=0, help=text, **unset)
-        for names, text in (
-            (("-h", "--help"), "show the frequent options"),
-            (("--help-all",), "show all options"),
-        )
-    )
+    short: Mapping[str, Any] = {"action": _ShortHelp, "nargs": 0, "const": rare, **unset}
+    parser.add_argument("-h", "--help", help="show the frequent options", **short)
+    parser.add_argument("--help-all", help="show all options", action="help")
     groups = {group: parser.add_argument_group(group) for group in GROUPS}
-    rare = []
-    for name, option in declared().items():
+    for name, option in OPTIONS.items():
         either = groups[option.metadata["group"]].add_mutually_exclusive_group()
         action = _add(either, name, **unset)
         off = option.metadata.get("off", argparse.SUPPRESS)
         either.add_argument(flag(f"no_{name}"), dest=name, action="store_false", help=off, **unset)
-        if not option.metadata["first"]:
-            rare.append(action)
-    short.hidden = rare  # type: ignore[attr-defined]
+        rare += [action] * (not option.metadata["first"])
     parser.usage = "%(prog)s [FILE.toml] [OPTIONS]"
 
 
@@ -314,36 +304,19 @@ def add_session_options(parser: argparse._ActionsContainer, *names: str) -> None
 
 
 def _add(parser: argparse._ActionsContainer, name: str, **more: object) -> argparse.Action:
-    option = declared()[name]
-    short = [option.metadata["short"]] if "short" in option.metadata else []
-    return parser.add_argument(*short, flag(name), **{**_argument(option), **more})
-
-
-def row_of(option: Field[Any]) -> tuple[str, str]:
-    """What an option's value is called, or "", and its help."""
-    short = option.metadata.get("short", flag(option.name))
-    head, _, text = (option.metadata["row"] or COMMON_ROWS[short]).rpartition("  ")
-    return " ".join(word for word in head.split() if not word.startswith(("-", "<"))), text
-
-
-def _argument(option: Field[Any]) -> Mapping[str, Any]:
-    """What `add_argument` takes for an option, besides its names."""
-    metavar, text = row_of(option)
-    kind = hint_of(option.name)[0]
+    known, kind = OPTIONS[name].metadata, kinds_of(name)[0]
+    own: Mapping[str, Any] = {"metavar": known["metavar"], "type": kind}
     if kind is bool:
-        return {"action": "store_true", "help": text}
-    more: Mapping[str, Any] = {"help": text, "metavar": metavar or None, "default": option.default}
-    if get_origin(kind) is Literal:
-        more = {**more, "choices": get_args(kind)}
-    elif get_origin(kind) is not tuple:
-        more = {**more, "type": kind}
-    elif "bare" in option.metadata:
-        return {**more, "nargs": "*", "type": get_args(kind)[0]}
-    else:
-        return {**more, "action": "append", "default": []}
-    if "bare" in option.metadata:
-        more = {**more, "nargs": "?", "const": option.metadata["bare"]}
-    return more
+        own = {"action": "store_true"}
+    elif get_origin(kind) is Literal:
+        own = {"choices": get_args(kind)}
+    elif get_origin(kind) is tuple:
+        how = {"nargs": "*"} if "bare" in known else {"action": "append", "default": []}
+        own = {**own, "type": get_args(kind)[0], **how}
+    if "bare" in known and "nargs" not in own:
+        own = {**own, "nargs": "?", "const": known["bare"]}
+    own = {"help": known["text"], "default": OPTIONS[name].default, **own, **more}
+    return parser.add_argument(*known["short"], flag(name), **own)
 
 
 def stream_options(args: argparse.Namespace) -> StreamOptions:
@@ -351,20 +324,16 @@ def stream_options(args: argparse.Namespace) -> StreamOptions:
     values: Mapping[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in vars(args).items()
-        if name in declared()
+        if name in OPTIONS
     }
     return StreamOptions(**values)
-
-
-def radio_change(name_or_file: str) -> Mapping[str, Any]:
-    return {"radio": load_radio(name_or_file), "radio_delay_ms": 0.0}
 
 
 def setup_changes(options: StreamOptions) -> Mapping[str, Any]:
     """What the options change in the setup."""
     changes = {name: getattr(options, name) for name in ("base_port", "deadband", "hand")}
     if options.radio is not None:
-        changes |= radio_change(options.radio)
+        changes |= {"radio": load_radio(options.radio), "radio_delay_ms": 0.0}
     elif options.radio_delay_ms is not None:
         changes |= {"radio": NO_RADIO, "radio_delay_ms": options.radio_delay_ms}
     return {name: value for name, value in changes.items() if value is not None}
@@ -391,12 +360,3 @@ def _sources(options: Iterable[str]) -> Mapping[str, str]:
             raise ConfigError(f"--source {option}: write NAME=SPEC, like head=clip.mp4")
         sources[current(name, INPUTS)] = spec
     return sources
-
-
-def add_coding_arguments(parser: argparse.ArgumentParser) -> None:
-    add_options(
-        parser,
-        "--recode  code the recorded pictures anew, by the session's encoder",
-        "--cap-kbps STREAM=KBPS <*>  another cap for a replayed stream, like uplink_video=60; "
-        "repeatable",
-    )

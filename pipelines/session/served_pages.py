@@ -27,7 +27,7 @@ from pipelines.session.page_sockets import (
     check_certificate,
     listeners,
 )
-from pipelines.session.topology import PAGES, Segment
+from pipelines.session.topology import PAGES, Segment, SessionOptions
 
 #: The ground's page takes a later port than the operator's.
 _LAST_PORT = 65_534
@@ -57,13 +57,6 @@ class ServerOptions:
     certificate: Path | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class PageOptions(ServerOptions):
-    """The pages, by the seats' names. browser: whether to open the first in one."""
-
-    browser: bool = False
-
-
 def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]:
     """Return host and first port of `option`; ConfigError if `text` is not [HOST:]PORT."""
     if text is None:
@@ -80,13 +73,13 @@ def parse_page(text: str | None, option: str = "--page") -> tuple[PageHost, int]
 
 
 def bound_server(
-    text: str | None, name: str, option: str = "--page", certificate: Path | None = None
+    text: str | None, *names: str, option: str = "--page", certificate: Path | None = None
 ) -> ServerOptions:
-    """Bind the one listener `name` at `text`, as of `parse_page`; ConfigError if that cannot be."""
+    """Bind these listeners from `text` on, as of `parse_page`; ConfigError if that cannot be."""
     host, port = parse_page(text, option)
     if certificate is not None:
         check_certificate(certificate)
-    return ServerOptions(host=host, sockets=bind_pages(host, port, [name]), certificate=certificate)
+    return ServerOptions(host=host, sockets=bind_pages(host, port, names), certificate=certificate)
 
 
 @contextmanager
@@ -109,44 +102,44 @@ def served(
 
 @contextmanager
 def announced_pages(
-    options: PageOptions | None,
-    session: str,
-    *,
-    quiet: bool,
-    tasks: bool = False,
-    trainer: bool = False,
+    options: ServerOptions | None, session: str, args: StreamOptions, table: SessionOptions
 ) -> Iterator[Mapping[str, PageListener]]:
     """Make tokens and certificate, print one address, and yield the listeners by process.
 
     It leads to every page. Each page's own address is in `pages.json` in the session's directory,
-    for programs of this user.
-    tasks, trainer: whether the session has any.
+    for programs of this user. table: what the session has.
     """
     if options is None:
         yield {}
         return
     root = session_root(session)
-    with served(options, root, "page", trainer=trainer) as (seats, made):
+    with served(options, root, "page", trainer=table.trainer) as (seats, made):
         urls = {seat: listener.url(seat) for seat, listener in seats.items()}
         people = {
             name: seats[seat].url(page, role=role.value)
             for name, (seat, page, role) in _PEOPLE.items()
-            if seat in seats and (tasks or page not in _OF_TASKS)
+            if seat in seats and (table.tasks or page not in _OF_TASKS)
         }
         first = next(iter(seats.values()))
-        if trainer:
+        if table.trainer:
             people["trainer"] = first.url("trainer", role=Role.TRAINER.value)
         address, watch = first.url(""), first.url("", role=Role.VIEWER.value)
         kept = {"pages": address, **urls, **people, "viewer_token": first.viewer_token}
-        write_private(root / "pages.json", json.dumps(kept, indent=1) + "\n")
-        if not quiet:
-            lines = [f"pages: {address}", f"to watch only: {watch}"]
-            if made:
-                lines.append(f"certificate made for this session, SHA-256 {made}")
-            say("\n".join(lines))
-        if options.browser:
+        lines = [f"pages: {address}", f"to watch only: {watch}"]
+        announce(root / "pages.json", kept, lines, made, quiet=args.quiet)
+        if args.open:
             _open_in_browser(address, root)
         yield {PAGES[Segment(name)]: listener for name, listener in seats.items()}
+
+
+def announce(
+    file: Path, kept: Mapping[str, str], lines: Sequence[str], made: str, *, quiet: bool
+) -> None:
+    """Keep addresses for programs of this user, and print lines. made: as of `served`."""
+    write_private(file, json.dumps(kept, indent=1) + "\n")
+    certificate = [f"certificate made for this session, SHA-256 {made}"] * bool(made)
+    if not quiet:
+        say("\n".join([*lines, *certificate]))
 
 
 def _open_in_browser(address: str, root: Path) -> None:
@@ -190,7 +183,7 @@ def write_private(path: Path, text: str) -> None:
     unready.rename(path)
 
 
-def bound_pages(args: StreamOptions, segments: Sequence[Segment] = _SEATS) -> PageOptions | None:
+def bound_pages(args: StreamOptions, segments: Sequence[Segment] = _SEATS) -> ServerOptions | None:
     """Bind what the options ask for; None without pages. segments: those that run here.
 
     Raises ConfigError for options that contradict each other, for an address that cannot be had,
@@ -202,11 +195,6 @@ def bound_pages(args: StreamOptions, segments: Sequence[Segment] = _SEATS) -> Pa
         if args.joystick == "page":
             raise ConfigError(f"--joystick page{why}")
         return None
-    host, port = parse_page(args.page if isinstance(args.page, str) else None)
-    if args.page_cert is not None:
-        check_certificate(args.page_cert)
     seats = [segment.value for segment in _SEATS if segment in segments]
-    sockets = bind_pages(host, port, seats)
-    return PageOptions(
-        host=host, sockets=sockets, certificate=args.page_cert, browser=bool(args.open)
-    )
+    text = args.page if isinstance(args.page, str) else None
+    return bound_server(text, *seats, certificate=args.page_cert)

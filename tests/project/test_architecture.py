@@ -72,7 +72,8 @@ SHELLS = {
     "pipelines/seats": "process_page seat_sockets seat_topics upkeep_watch",
     "pipelines/session": (
         "command_process datagrams kept_files launcher machine_checks option_rows options "
-        "page_sockets process served_pages serving_loop sessions site_file terminals topic_ends web_site"
+        "page_sockets process recording_requests requests served_pages serving_loop sessions "
+        "site_file topic_ends web_site"
     ),
     "pipelines/session/setup": "former_names setup_file sources",
     "pipelines/study": "running",
@@ -91,6 +92,7 @@ SHELLS = {
 #: What a core may import from a shell: constants, types, and conversions that ask nothing.
 PURE_NAMES = {
     "kontur_av/sources/source.py": {"FILLED_BY_OTHERS", "PAGE", "TOPIC"},
+    "pipelines/session/recording_requests.py": {"PartLimits", "RecordingOptions", "StartRecording"},
     "pipelines/session/setup/former_names.py": {"INPUTS"},
     "telepresence/haptics/specs.py": {"PAGE", "ROS2_HAND", "SIMULATED", "is_simulated"},
     "kontur_av/clock.py": words("NS_PER_MS NS_PER_S NS_PER_US ntp_from_unix_ns unix_ns_from_ntp"),

@@ -51,7 +51,16 @@ def load_setup(
     `Setup` to replace. radio_start_s: begin the session this long after the acquisition of signal
     of the radio's pass.
     """
-    return _built(_values_of(name), sources, changes, radio_start_s)
+    values = dict(_values_of(name))
+    # Put them in before the setup is built: an input may have its only source on the command line.
+    own = {current(key, INPUTS): spec for key, spec in values["sources"].items()}
+    values |= {"sources": {**own, **sources}, **changes}
+    radio = values["radio"]
+    if isinstance(radio, str) and (radio_start_s is not None or radio not in RADIOS):
+        values["radio"] = radio = load_radio(radio)
+    if radio_start_s is not None:
+        values["radio"] = started(radio, radio_start_s)
+    return Setup(**values)
 
 
 def setup_from_text(
@@ -61,40 +70,24 @@ def setup_from_text(
 
     changes, radio_start_s: as of `load_setup`. Raises ConfigError for a text that is not a setup.
     """
-    return setup_from_table(
-        parse_toml(text, "its setup"), changes=changes, radio_start_s=radio_start_s
-    )
-
-
-def _built(
-    found: Mapping[str, Any],
-    sources: Mapping[str, str],
-    changes: Mapping[str, Any],
-    radio_start_s: float | None,
-) -> Setup:
-    # Put them in before the setup is built: an input may have its only source on the command line.
-    own = {current(name, INPUTS): spec for name, spec in found["sources"].items()}
-    values = {**found, "sources": {**own, **sources}, **changes}
-    radio = values["radio"]
-    if isinstance(radio, str) and (radio_start_s is not None or radio not in RADIOS):
-        values["radio"] = radio = load_radio(radio)
-    if radio_start_s is not None:
-        values["radio"] = started(radio, radio_start_s)
-    return Setup(**values)
+    return load_setup(parse_toml(text, "its setup"), changes=changes, radio_start_s=radio_start_s)
 
 
 def _values_of(name: str | Mapping[str, Any]) -> Mapping[str, Any]:
+    """The fields of `Setup`; the radio is still a name."""
     if isinstance(name, Mapping):
-        return _values(name)
+        return setup_values(typed(name, SETUP_FILE, "a setup"))
     if name in BUILT_IN:
         return {each.name: getattr(BUILT_IN[name], each.name) for each in fields(Setup)}
-    table = _table_of(name)
+    table = table_of_setup(name)
     with refused(f"setup {name}", ConfigError):
-        return _values(table)
+        return _values_of(table)
 
 
-def _table_of(name: str) -> Mapping[str, Any]:
-    """The table that the TOML file of a setup holds; ConfigError."""
+def table_of_setup(name: str) -> Mapping[str, Any]:
+    """The table that the TOML file of a setup holds, also of one that is built in; ConfigError."""
+    if name in BUILT_IN:
+        return setup_table(BUILT_IN[name])
     path = Path(name)
     if path.suffix != ".toml":
         raise ConfigError(
@@ -113,14 +106,4 @@ def setup_from_table(
     radio_start_s: float | None = None,
 ) -> Setup:
     """A setup from the table that a TOML file holds; changes, radio_start_s: as of `load_setup`."""
-    return _built(_values(table), _NOTHING, changes, radio_start_s)
-
-
-def table_of_setup(name: str) -> Mapping[str, Any]:
-    """The table that the TOML file of a setup holds, also of one that is built in; ConfigError."""
-    return setup_table(BUILT_IN[name]) if name in BUILT_IN else _table_of(name)
-
-
-def _values(table: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The fields of `Setup`; the radio is still a name."""
-    return setup_values(typed(table, SETUP_FILE, "a setup"))
+    return load_setup(table, changes=changes, radio_start_s=radio_start_s)

@@ -6,8 +6,9 @@ the length of its frames.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, make_dataclass, replace
+from functools import cache
 from types import UnionType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin
 
 from kontur_av.media import parse_size
 from pipelines.session.setup.table import RtcLeg, Setup, VideoStream, VoiceStream
@@ -20,12 +21,13 @@ class _Link:
     frame_octets: int | None = None
 
 
+@cache
 def _file_kind(kind: type) -> type[Any]:
     """The dataclass of what a file has for a `kind`."""
-    hints = get_type_hints(kind)
-    rows = [_file_field(each, hints[each.name]) for each in fields(kind)]
+    rows = [_file_field(each, each.type) for each in fields(kind)]
     rows = [row for row in rows if row[0] != "height" and (row[0] != "name" or kind is Setup)]
-    return make_dataclass(f"{kind.__name__}File", rows, frozen=True, kw_only=True)
+    own = {"kind": kind}
+    return make_dataclass(f"{kind.__name__}File", rows, frozen=True, kw_only=True, namespace=own)
 
 
 def _file_field(of: Field[Any], hint: Any) -> tuple[str, Any, Any]:
@@ -33,7 +35,7 @@ def _file_field(of: Field[Any], hint: Any) -> tuple[str, Any, Any]:
     name, default = of.name, of.default
     inner = get_args(hint)[0] if get_origin(hint) is UnionType else hint
     if name.endswith("_bps"):
-        name, hint = _kbps(name), float
+        name, hint = name.replace("_bps", "_kbps"), float
         default = default if default is MISSING else default / 1000
     elif name == "width":
         name, hint, default = "size", str, f"{VideoStream.width}x{VideoStream.height}"
@@ -43,48 +45,37 @@ def _file_field(of: Field[Any], hint: Any) -> tuple[str, Any, Any]:
         hint, default = _Link, _Link()
     elif inner is RadioProfile or get_origin(hint) is Literal:
         hint = str
-    elif inner in _KINDS:
-        hint = _KINDS[inner] | None if default is None else _KINDS[inner]
+    elif inner in (VideoStream, VoiceStream, RtcLeg):
+        hint = _file_kind(inner) | None if default is None else _file_kind(inner)
     kept: Any = {"default": default, "default_factory": of.default_factory}
     kept = {key: value for key, value in kept.items() if value is not MISSING}
     return name, hint, field(**kept, metadata=of.metadata)
 
 
-def _kbps(name: str) -> str:
-    return f"{name.removesuffix('_bps')}_kbps"
-
-
-_KINDS: Mapping[Any, type[Any]] = {}
-_KINDS = {kind: _file_kind(kind) for kind in (VideoStream, VoiceStream, RtcLeg)}
 #: What a setup's file holds; its fields are those of `Setup`.
 SETUP_FILE = _file_kind(Setup)
 
 
-def setup_values(entry: Any, kind: type = Setup, name: str = "") -> Mapping[str, Any]:
-    """The fields of a `kind` by what its file has; the radio is still a name.
+def setup_values(entry: Any, name: str = "") -> Mapping[str, Any]:
+    """The fields of a setup, or of its table `name`, by its file's; the radio is still a name.
 
-    name: of the stream. Raises ConfigError for a size that is none.
+    Raises ConfigError for a size that is none.
     """
     values: dict[str, object] = {}
-    hints = get_type_hints(kind)
-    value: Any
-    for each in fields(kind):
-        key, hint = each.name, hints[each.name]
-        inner = get_args(hint)[0] if get_origin(hint) is UnionType else hint
-        if key in ("width", "height"):
-            value = parse_size(entry.size, f"{name}.size")[key == "height"]
+    for each in fields(entry):
+        key, value = each.name, getattr(entry, each.name)
+        if key.endswith("_kbps"):
+            key, value = key.replace("_kbps", "_bps"), round(value * 1000)
+        elif key == "size":
+            values["width"], value = parse_size(value, f"{name}.size")
+            key = "height"
         elif key == "coded":
-            value = None if entry.coded == "auto" else parse_size(entry.coded, f"{name}.coded")
-        elif key == "name" and name:
-            value = name
-        else:
-            value = getattr(entry, _kbps(key) if key.endswith("_bps") else key)
-            if key.endswith("_bps"):
-                value = round(value * 1000)
-            elif isinstance(value, _Link):
-                value = _profile(UPLINK if key == "uplink" else DOWNLINK, value.frame_octets)
-            elif inner in _KINDS and value is not None:
-                value = inner(**setup_values(value, inner, key))
+            value = None if value == "auto" else parse_size(value, f"{name}.coded")
+        elif isinstance(value, _Link):
+            value = _profile(UPLINK if key == "uplink" else DOWNLINK, value.frame_octets)
+        elif (kind := getattr(value, "kind", None)) is not None:
+            own = {} if kind is RtcLeg else {"name": key}
+            value = kind(**own, **setup_values(value, key))
         values[key] = value
     return values
 
@@ -98,9 +89,8 @@ def _profile(profile: LinkProfile, frame_octets: int | None) -> LinkProfile:
 
 def setup_table(setup: Setup) -> Mapping[str, Any]:
     """Every field of a setup as its file has it. A radio that is not built in is only its name."""
-    radio = setup.radio_profile.name if isinstance(setup.radio, RadioProfile) else setup.radio
     sources = {name: setup.source(name) for name in setup.inputs}
-    return {**_written(setup), "radio": radio, "sources": sources}
+    return {**_written(setup), "radio": setup.radio_profile.name, "sources": sources}
 
 
 def _written(thing: Any) -> Mapping[str, Any]:
@@ -114,7 +104,7 @@ def _written(thing: Any) -> Mapping[str, Any]:
         elif key == "coded":
             value = f"{value[0]}x{value[1]}"
         elif key.endswith("_bps"):
-            key, value = _kbps(key), value / 1000
+            key, value = key.replace("_bps", "_kbps"), value / 1000
         elif isinstance(value, LinkProfile):
             value = {"frame_octets": value.frame_octets}
         elif hasattr(value, "__dataclass_fields__"):

@@ -4,10 +4,10 @@ A user's own setup is a TOML file with the same fields: `pipelines.session.setup
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from math import ceil
-from typing import Literal, get_args
+from typing import Literal, get_args, get_origin
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import PREFERENCES, Preference, coded_rate_for, coded_size_for
@@ -143,13 +143,11 @@ def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
 #: What happens to the room of haptic samples that nobody would feel. `off`: no sample is left out.
 #: `picture`: the video's cap rises. `latency`: the same pictures are sent sooner.
 Deadband = Literal["off", "picture", "latency"]
-DEADBANDS: tuple[Deadband, ...] = get_args(Deadband)
 
 #: What the operator's hand feels. `direct`: the robot's delayed force. `mediated`: a wall that the
 #: robot's side estimates and the joystick's side renders. `auto`: that wall, and directly what it
 #: does not explain.
 HandMode = Literal["direct", "mediated", "auto"]
-HAND_MODES: tuple[HandMode, ...] = get_args(HandMode)
 
 #: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
 #: joystick in space, once an operator has handed it over. `second`: an arm of its own. `board`:
@@ -161,14 +159,6 @@ RegionChoice = Literal["off", "stylus"]
 #: Which cameras are recorded. `idle`: those that no stream carries, at 5 Hz. `all`: every camera at
 #: its full rate.
 RecordedCameras = Literal["idle", "all"]
-#: By field: what it may be.
-_CHOICES: Mapping[str, tuple[str, ...]] = {
-    "deadband": DEADBANDS,
-    "hand": HAND_MODES,
-    "partner_arm": get_args(PartnerArm),
-    "recorded_cameras": get_args(RecordedCameras),
-    "region": get_args(RegionChoice),
-}
 #: The built-in scenes that see the task board.
 _BOARD_SCENES = ("left", "right", "static", "head")
 
@@ -227,9 +217,7 @@ class Setup:
 
     name: str
     uplink_video: VideoStream
-    cameras: tuple[str, ...] = field(
-        metadata={"like": 'a list of names, like ["stereo", "static"]'}
-    )
+    cameras: tuple[str, ...]
     uplink_voice: VoiceStream | None = None
     downlink_video: VideoStream | None = None
     downlink_voice: VoiceStream | None = None
@@ -268,8 +256,9 @@ class Setup:
                 raise ConfigError(
                     f"setup {self.name}: camera {camera} has the name of another input; rename it"
                 )
-        for name, choices in _CHOICES.items():
-            one_of(getattr(self, name), choices, name)
+        for each in fields(self):
+            if get_origin(each.type) is Literal:
+                one_of(getattr(self, each.name), get_args(each.type), each.name)
         self._check_partner_arm()
         if self.rtc is not None and self.downlink_video and self.downlink_video.codec != "h264":
             raise ConfigError(

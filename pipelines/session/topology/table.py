@@ -38,18 +38,8 @@ class SessionOptions:
     """What a session has beside what its setup says.
 
     joystick, robot, second_robot: their SPECs; the last is the arm that a partner drives.
-    snapshots: with the process that keeps pictures as files.
-    pages: with the processes that serve a browser page at each end.
-    recorder: with the process that can record the session.
-    trainer: with the process that takes a trainer's requests.
-    tasks: with the processes by which tasks are done.
-    metrics: with the process that serves figures to a monitoring system.
-    foxglove: with the process that serves the channels to Foxglove.
-    packets: with the process that another ground system talks to.
-    frames: with the process that gives it copies of frames.
-    ros2: with the process that is a node of a ROS 2 system.
-    files: with the processes that carry files between two directories.
-    components: of users, in the telemetry.
+    components: of users, in the telemetry. Each flag: with the processes that `rows.py` of a room
+    have under it. recorder: it can record. bypass: programs are joined past gateways and radio.
     """
 
     joystick: str = SIMULATED

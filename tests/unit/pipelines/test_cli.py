@@ -161,7 +161,7 @@ REFUSALS = {
         "GROUND --listen 192.0.2.77:9000 --insecure": "no address of this machine",
         "GROUND --listen 0.0.0.0:27000": "there is no key",
         "GROUND --listen 0.0.0.0:27000 --key mine": "`kontur-av keys new` makes one",
-        "LISTEN --key k": "leave --key out",
+        "LISTEN --key k": "--insecure and --key: give one of them",
         "GROUND --listen 127.0.0.1:27000 --key key.pem": "trusts nobody: `kontur-av keys trust",
         "GROUND --listen 127.0.0.1:27000 --key two.pem": "name the peer's by --identity",
         "GROUND --listen 127.0.0.1:27000 --key two.pem --identity nobody": "characters instead of",

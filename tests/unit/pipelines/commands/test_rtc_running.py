@@ -14,8 +14,9 @@ from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.receiver import RtpReceived
-from pipelines.commands.rtc_running import PartnerOutput, add_output_arguments
+from pipelines.commands.rtc_running import OUTPUT, PartnerOutput
 from pipelines.partner.media import PictureCame, SoundCame
+from pipelines.session.option_rows import add_options
 
 BLOCK = 960
 
@@ -23,7 +24,7 @@ BLOCK = 960
 @pytest.mark.parametrize("second", [0x9000_0000, 1000, 90_000])
 def test_a_partner_that_comes_again_goes_on_in_the_same_files(second, tmp_path):
     parser = argparse.ArgumentParser()
-    add_output_arguments(parser)
+    add_options(parser, *OUTPUT)
     pictures, voice = str(tmp_path / "p.mkv"), str(tmp_path / "v.mka")
     args = parser.parse_args(["--save", pictures, "--save-voice", voice])
     opus = OpusEncoder(bitrate_bps=24_000).encode(np.zeros(BLOCK, np.int16))

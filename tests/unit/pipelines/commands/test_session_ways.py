@@ -5,7 +5,7 @@ import pkgutil
 import socket
 
 from pipelines.commands.session_ways import files_arguments
-from pipelines.files.service_sockets import bound_services, services_options
+from pipelines.files.service_sockets import bound_services
 from pipelines.session.options import StreamOptions
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import FILES, PAGES, Segment
@@ -21,7 +21,7 @@ def test_each_process_takes_what_it_is_given(tmp_path):
     )
     topology = topology_of(BUILT_IN["taskboard"], files=True, pages=True)
     ends = tuple(Segment)
-    with bound_services(services_options(args, ends), files_arguments(args, ends)) as arguments:
+    with bound_services(args, files_arguments(args, ends), ends) as arguments:
         assert {*arguments} == {*FILES.values(), PAGES[Segment.GROUND]}
         for name, given in arguments.items():
             row = topology.process(name)

@@ -12,12 +12,13 @@ from pipelines.cli import make_parser
 from pipelines.session import served_pages
 from pipelines.session.options import stream_options
 from pipelines.session.served_pages import announced_pages, bound_pages, parse_page
+from pipelines.session.topology import SessionOptions
 
 
 @contextmanager
-def announced(*words, quiet=False):
-    args = make_parser("stream").parse_args(["stream", "--setup", "taskboard", *words])
-    with announced_pages(bound_pages(stream_options(args)), "taskboard-1", quiet=quiet) as pages:
+def announced(*words):
+    args = stream_options(make_parser("stream").parse_args(["stream", *words]))
+    with announced_pages(bound_pages(args), "taskboard-1", args, SessionOptions()) as pages:
         yield pages
 
 
@@ -52,7 +53,7 @@ def test_one_address_is_printed_and_all_are_kept_for_the_user_alone(capsys, root
     printed = [f"pages: {kept['pages']}", f"to watch only: {watch}"]
     assert capsys.readouterr().out.splitlines() == printed
     assert all(page.socket.fileno() == -1 for page in pages.values())
-    with announced("-q", quiet=True):
+    with announced("-q"):
         assert (root / "pages.json").exists()
     assert capsys.readouterr() == ("", "")
 
@@ -69,7 +70,7 @@ def test_beyond_loopback_a_certificate_is_made_and_without_a_browser_there_is_on
         raise webbrowser.Error
 
     monkeypatch.setattr(webbrowser, "get", none)
-    with announced("--open", "-q", quiet=True):
+    with announced("--open", "-q"):
         pass
     (line,) = capsys.readouterr().err.splitlines()
     assert "no browser" in line
@@ -80,7 +81,7 @@ def test_no_token_is_an_argument_of_the_browser(monkeypatch, root):
     started = []
     monkeypatch.setattr(webbrowser, "get", lambda: None)
     monkeypatch.setattr(served_pages.subprocess, "Popen", lambda words, **_: started.append(words))
-    with announced("--open", "-q", quiet=True) as pages:
+    with announced("--open", "-q") as pages:
         token = pages["page_space"].operator_token
     assert len(started) == 1 and token not in str(started)
     leads = root / "open.html"

@@ -8,8 +8,8 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from pipelines.cli import make_parser
-from pipelines.session.options import StreamOptions, asked_setup, declared, flag, hint_of, row_of
-from pipelines.session.site_file import site_options
+from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, flag, kinds_of
+from pipelines.session.site_file import blamed, site_options
 
 SETUP = 'setup = "taskboard"\n'
 
@@ -30,7 +30,7 @@ def site(tmp_path, monkeypatch):
 
 def example(name):
     """An option on the command line, and in a file."""
-    kind, what = hint_of(name)[0], row_of(declared()[name])[0]
+    kind, what = kinds_of(name)[0], OPTIONS[name].metadata["metavar"]
     if kind is bool:
         return [flag(name)], "true"
     if get_origin(kind) is Literal:
@@ -42,7 +42,7 @@ def example(name):
     return ([flag(name), "7"], "7") if kind in (int, float) else ([flag(name), "/a:7"], '"/a:7"')
 
 
-@pytest.mark.parametrize("name", sorted(declared()))
+@pytest.mark.parametrize("name", sorted(OPTIONS))
 def test_every_option_can_be_in_a_file_and_be_taken_back(site, name):
     words, value = example(name)
     if name in ("hand", "deadband"):
@@ -116,5 +116,5 @@ def test_the_nearer_file_wins_and_the_command_line_over_all_with_paths_from_each
 def test_a_mistake_is_named_with_file_field_and_what_would_fit(site, text, says):
     with pytest.raises(ConfigError, match=says):
         read = site({"a.toml": text})
-        with read.blamed():
+        with blamed(read.settings):
             asked_setup(read.options)

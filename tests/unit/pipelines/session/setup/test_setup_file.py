@@ -159,7 +159,7 @@ STATIC = '"static"'
         (TOML.replace(STATIC, '"static", "static"'), "twice"),
         (TOML.replace(STATIC, '"wrist"'), "--source wrist=SPEC"),
         (TOML.replace('["stereo", "static"]', "[]"), "name at least one"),
-        (TOML.replace('["stereo", "static"]', STATIC), "list of names"),
+        (TOML.replace('["stereo", "static"]', STATIC), "list of texts"),
         ("base_port = true\n" + TOML, "base_port must be a whole number"),
         ("sources = 3\n" + TOML, "sources must be a table"),
         ('sources = {head = "x.mp4"}\n' + TOML, "left, right, static"),

@@ -72,7 +72,7 @@ UNKNOWN = "unknown field uplink_video.cap_kbp: the nearest one is uplink_video.c
         (f"{GRID}uplink_video.cap_kbp = [5]\n", f"grid 1, uplink_video.cap_kbp = 5: {UNKNOWN}"),
         (f"{GRID}uplink_video.cap_kbps = [900]\n", "uplink_video.cap_kbps = 900: "),
         (f"{GRID}radio_delay_ms = ['a']\n", "must be a number, not 'a'"),
-        (f"{GRID}cameras = [5]\n", "cameras must be a list of names"),
+        (f"{GRID}cameras = [5]\n", "cameras must be a list of texts"),
         (f"{GRID}hand.x = ['a']\n", "so there is no hand.x"),
         (f"{GRID}radio = ['geo']\nradio_delay_ms = [5]\n", "radio geo has a delay of its own"),
         (f"seconds = 1\n{HAND}[plot]\ny = 'vidio'\n", "plot.y is 'vidio': take one of"),
