@@ -9,11 +9,10 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
-from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.mission.tmtc_socket import TMTC_SOCKETS
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
 from pipelines.session.requests import running_sessions
-from pipelines.session.setup.segments import Segment
 from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome
 from pipelines.upkeep.sequence_runner import (
     MaintenanceLog,
@@ -57,8 +56,7 @@ def run(args: argparse.Namespace) -> int:
     sequence = MaintenanceSequence(lines, COMMANDS)
     if not args.yes and not sys.stdin.isatty():
         raise ConfigError("nobody can confirm here: start it in a terminal, or with --yes")
-    ends = [name for end in Segment for name in running_sessions(tmtc_socket_name(end))]
-    running = list(dict.fromkeys(ends))
+    running = running_sessions(*TMTC_SOCKETS)
     with ExitStack() as stack:
         log = stack.enter_context(MaintenanceLog(args.log or Path(f"{args.script}.log")))
         watch = None

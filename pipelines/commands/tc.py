@@ -14,7 +14,7 @@ from pipelines.mission.tmtc_messages import (
     report_words,
     update_words,
 )
-from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
+from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary, tmtc_socket_name
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
 from pipelines.session.requests import running_sessions
@@ -76,10 +76,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _print_known(args: argparse.Namespace) -> None:
     """The dictionary of the running session; without any, the built-in one."""
-    found = (one for segment in Segment for one in running_sessions(tmtc_socket_name(segment)))
-    running = list(dict.fromkeys(found))
     dictionary = built_in_dictionary()
-    if running:
+    if running := running_sessions(*TMTC_SOCKETS):
         dictionary = read_dictionary(acting_on(args.session, running))
     if args.xtce:
         print_data(dictionary_xtce(dictionary, vars(args)["from"] or Segment.GROUND.value))

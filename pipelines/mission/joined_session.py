@@ -27,7 +27,7 @@ from kontur_av.topics.session_files import choose_session
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, rows_of
 from pipelines.mission.choosing import CAMERA, SELECT
 from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
-from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
+from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary
 from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology import displayed_topic, page_topic
@@ -241,5 +241,4 @@ class JoinedSession(Closing):
 
 
 def _running() -> list[str]:
-    found = (one for segment in Segment for one in running_sessions(tmtc_socket_name(segment)))
-    return list(dict.fromkeys(found))
+    return running_sessions(*TMTC_SOCKETS)

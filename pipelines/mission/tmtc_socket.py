@@ -42,6 +42,9 @@ def tmtc_socket_name(segment: Segment) -> str:
     return f"tmtc.{segment.value}"
 
 
+TMTC_SOCKETS = tuple(tmtc_socket_name(segment) for segment in Segment)
+
+
 def write_dictionary(session: str, dictionary: Dictionary) -> None:
     """Keep the dictionary of a session for those who ask it. Do so before it takes requests."""
     replace_file(session_root(session) / _DICTIONARY, msgspec.json.encode(dictionary))

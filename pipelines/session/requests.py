@@ -261,19 +261,20 @@ def _answer(octets: bytes, kind: type[AnswerT]) -> AnswerT:
     return answer
 
 
-def running_sessions(service: str) -> list[str]:
-    """Return the sessions of this user in which a process listens on this socket, oldest first.
+def running_sessions(*services: str) -> list[str]:
+    """Return the user's sessions in which a process has one of these sockets, oldest first.
 
     Where that process was killed and the launcher restarts it, wait for up to `_TIMEOUT_S`.
     """
     until_s = time.monotonic() + _TIMEOUT_S
-    sockets = list(session_root("x").parent.glob(f"*/{service}"))
+    root = session_root("x").parent
+    sockets = [path for service in services for path in root.glob(f"*/{service}")]
     while any(is_alive(path.parent.name) and not _listens(path) for path in sockets):
         if time.monotonic() > until_s:
             break
         time.sleep(_AGAIN_S)
     paths = sorted(filter(_listens, sockets), key=lambda path: path.stat().st_mtime)
-    return [path.parent.name for path in paths]
+    return list(dict.fromkeys(path.parent.name for path in paths))
 
 
 def _listens(path: Path) -> bool:

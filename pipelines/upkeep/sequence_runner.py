@@ -17,7 +17,7 @@ from kontur_av.closing import Closing
 from kontur_av.errors import refused
 from kontur_av.topics.bus import TopicBus
 from pipelines.link.link_metrics import link_state_topic
-from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.mission.tmtc_socket import TMTC_SOCKETS
 from pipelines.session.kept_files import Note, add_note, read_now
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC
 from pipelines.session.requests import running_sessions
@@ -66,7 +66,7 @@ class SessionWatch(Closing):
         self._announced = now.events[-1].number if now is not None and now.events else 0
 
     def runs(self) -> bool:
-        return any(self.name in running_sessions(tmtc_socket_name(end)) for end in Segment)
+        return self.name in running_sessions(*TMTC_SOCKETS)
 
     def contact(self) -> bool:
         for reader in self._links:

@@ -245,6 +245,9 @@ def test_only_running_sessions_are_found(service):
         dead.bind(str(request_socket("dead", SERVICE)))
     assert sorted(running_sessions(SERVICE)) == ["lab-1", "lab-2"]
     assert running_sessions("arm") == []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as more:
+        more.bind(str(request_socket("lab-2", "arm")))
+        assert sorted(running_sessions(SERVICE, "arm")) == ["lab-1", "lab-2"]
 
 
 def test_a_process_that_is_restarted_is_waited_for(service):
