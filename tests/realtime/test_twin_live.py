@@ -1,6 +1,6 @@
 """A live session and its twin over the same radio: one verdict, the same events, similar counts.
 
-No instant is compared. A live session whose machine stalled is run again.
+No instant is compared. A live session whose machine stalled is not compared.
 """
 
 import json
@@ -21,7 +21,6 @@ SCENES = {
 }
 #: A gap between frames that is so much longer than the twin's is a stall of the machine, in ms.
 STALL_MS = 40
-TRIES = 3
 
 
 def events(report):
@@ -70,15 +69,10 @@ def test_a_live_session_and_its_twin_come_to_the_same(tmp_path, scene):
     options = ["--setup", "spacejustin", "--joystick", "sim", "--report", str(path), "-q"]
     code = main(["simulate", *options, *words])
     twin = json.loads(path.read_text())
-    for number in range(TRIES):
-        directory = tmp_path / str(number)
-        directory.mkdir()
-        with RunningSession("spacejustin", *words, directory=directory) as session:
-            live_code, live = session.end()
-        if longest_gap_ms(live) < longest_gap_ms(twin) + STALL_MS:
-            break
-    else:
-        pytest.skip(f"the machine stalled for {longest_gap_ms(live):.0f} ms, {TRIES} times")
+    with RunningSession("spacejustin", *words, directory=tmp_path) as session:
+        live_code, live = session.end()
+    if longest_gap_ms(live) > longest_gap_ms(twin) + STALL_MS:
+        pytest.skip(f"the machine stalled for {longest_gap_ms(live):.0f} ms")
     assert (live_code, events(live)) == (code, events(twin))
     expected = shares(twin, scene)
     for name, (share, bound) in shares(live, scene).items():
