@@ -217,11 +217,11 @@ def _checked(table: Mapping[str, Any], folder: Path) -> Iterator[tuple[Name, Any
     for option, value in table.items():
         in_setup = option == "setup"
         if isinstance(value, Mapping) and (in_setup or _is_named(option)):
-            for name, one in _leaves(value):
-                if not in_setup and (name[1:] or one is True or not isinstance(one, str | int)):
-                    raise ConfigError(f"{option}.{name[0]} must be a text in quotes, not {one!r}")
-                one = one if in_setup or one is False else str(one)
-                yield (option, *name), _placed((option, *name), one, folder)
+            for name, leaf in _leaves(value):
+                if not in_setup and (name[1:] or leaf is True or not isinstance(leaf, str | int)):
+                    raise ConfigError(f"{option}.{name[0]} must be a text in quotes, not {leaf!r}")
+                leaf = leaf if in_setup or leaf is False else str(leaf)
+                yield (option, *name), _placed((option, *name), leaf, folder)
         elif value is False:
             yield (option,), False
         else:
@@ -252,7 +252,7 @@ def _leaves(table: Mapping[str, Any]) -> Iterator[tuple[Name, Any]]:
     """Each value by its name in all tables."""
     for key, value in table.items():
         if isinstance(value, Mapping):
-            yield from (((key, *name), one) for name, one in _leaves(value or {"": None}))
+            yield from (((key, *name), leaf) for name, leaf in _leaves(value or {"": None}))
         else:
             yield (key,), value
 
@@ -260,7 +260,7 @@ def _leaves(table: Mapping[str, Any]) -> Iterator[tuple[Name, Any]]:
 def _placed(name: Name, value: Any, folder: Path) -> Any:
     """A value whose relative path begins at `folder`."""
     if isinstance(value, tuple):
-        return tuple(_placed(name, one, folder) for one in value)
+        return tuple(_placed(name, inner, folder) for inner in value)
     if isinstance(value, Path):
         return folder / value.expanduser()
     metavar = OPTIONS[name[0]].metadata["metavar"]
