@@ -30,7 +30,12 @@ from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
 from pipelines.report.model import keys_of
 from pipelines.seats.page_metrics import PageMetrics
-from pipelines.session.session_metrics import LoopMetrics, ProbeMetrics, TrainerMetrics
+from pipelines.session.session_metrics import (
+    LoopMetrics,
+    ProbeMetrics,
+    RequestMetrics,
+    TrainerMetrics,
+)
 from telepresence.files.entity import FileMetrics
 from telepresence.haptics.authority import AuthorityMetrics
 from telepresence.haptics.envelope import SafetyMetrics
@@ -48,6 +53,7 @@ from telepresence.services.streams import ServiceMetrics
 #: All records that processes tell.
 TOLD: tuple[type, ...] = (
     ProbeMetrics,
+    RequestMetrics,
     LoopMetrics,
     CaptureMetrics,
     StereoMetrics,

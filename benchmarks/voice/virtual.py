@@ -12,8 +12,8 @@ from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import AUDIO_CLOCK_HZ, BLOCK_NS, BLOCK_SAMPLES, CaptureStamp, Pcm
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from kontur_av.streams.voice_receiver import VoicePlayer, VoiceReceiver
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.media.stream_metrics import voice_receiver, voice_sender
-from pipelines.report.model import CodingCosts
 from pipelines.session.setup.table import Setup, VoiceStream
 from pipelines.table import topology_of
 

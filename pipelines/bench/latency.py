@@ -12,7 +12,7 @@ from rich.table import Table
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ConfigError
-from pipelines.bench.session import live_session
+from pipelines.bench.session import busy_programs, live_session
 from pipelines.report.charts import check_plot, lead_chart, save
 from pipelines.report.journeys import STAGES
 from pipelines.report.model import ContentSkew, Ranks, SessionReport, SkewReport, Spread, VideoLead
@@ -143,6 +143,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_session_options(parser, "radio=clean", "deadband")
     add_options(
         parser,
+        "--load N <int=0>  busy programs beside the live run",
         "--seed N <int=1>  of the radio's losses",
         "--base-port P <int=27000>  of the live run",
         "--report",
@@ -156,6 +157,8 @@ def run(args: argparse.Namespace) -> int:
         if not 1 <= getattr(args, name) <= 3600:
             option = f"--{name.replace('_', '-')}"
             raise ConfigError(f"{option} {getattr(args, name):g}: give 1 to 3600")
+    if not 0 <= args.load <= 64:
+        raise ConfigError(f"--load {args.load}: give 0 to 64")
     check_writable(args.report)
     check_plot(args.plot)
     setups = _setups(args)
@@ -212,14 +215,15 @@ def run(args: argparse.Namespace) -> int:
 
 def _live(args: argparse.Namespace) -> SessionReport:
     try:
-        return live_session(
-            args.setup,
-            seconds=args.live_seconds,
-            seed=args.seed,
-            radio=args.radio,
-            base_port=args.base_port,
-            deadband=args.deadband,
-        )
+        with busy_programs(args.load):
+            return live_session(
+                args.setup,
+                seconds=args.live_seconds,
+                seed=args.seed,
+                radio=args.radio,
+                base_port=args.base_port,
+                deadband=args.deadband,
+            )
     except ConfigError as error:
         raise ConfigError(f"live: {error} (or leave it out with --no-live)") from None
 

@@ -3,7 +3,8 @@
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -56,6 +57,18 @@ def live_report(words: Sequence[str], *, seconds: float, tree: Path | None = Non
         if not report_file.exists():
             raise RuntimeError(f"the live session failed: {output}")
         return report_file.read_bytes()
+
+
+@contextmanager
+def busy_programs(number: int) -> Iterator[None]:
+    """Run so many programs that take all the CPU time that they get."""
+    with ended_alike():
+        command = [sys.executable, "-c", "while True: pass"]
+        programs = [subprocess.Popen(command) for _ in range(number)]
+        try:
+            yield
+        finally:
+            end_all(programs)
 
 
 def live_session(

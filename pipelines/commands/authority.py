@@ -4,12 +4,13 @@ import argparse
 import sys
 import time
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, one_of
 from pipelines.commands.common import acting_on
 from pipelines.hand.hand_topics import ARM_SOCKET, AUTHORITIES, AuthorityAnswer, AuthorityRequest
 from pipelines.session.option_rows import add_options
+from pipelines.session.requests import ask, running_sessions
 from pipelines.session.setup.former_names import DRIVERS, current
-from pipelines.session.terminals import running_sessions, send_request
+from telepresence.haptics.authority import Authority
 
 #: How long a hand-over may take: the robot comes to rest first.
 _TIMEOUT_S = 5.0
@@ -32,21 +33,20 @@ def run(args: argparse.Namespace) -> int:
     """0 once the wanted one drives; 1 without an answer, or if the robot does not rest."""
     args.authority = current(args.authority or "", DRIVERS)
     running = running_sessions(ARM_SOCKET)
-    session = acting_on(args.session, running, moves=bool(args.authority)) if running else None
-    answer = _ask(args.authority, session)
+    if not running:
+        raise ConfigError(_MISSING)
+    session = acting_on(args.session, running, moves=bool(args.authority))
+    wanted = AuthorityRequest()
+    if args.authority:
+        wanted = AuthorityRequest(Authority(one_of(args.authority, AUTHORITIES, "authority")))
     end_s = time.monotonic() + _TIMEOUT_S
-    while (
-        answer.ok
-        and args.authority
-        and answer.authority != args.authority
-        and time.monotonic() < end_s
-    ):
-        time.sleep(_LOOK_S)
-        answer = _ask("", session)
-    if answer.mistake:
-        raise ConfigError(answer.error)
-    if not answer.ok:
-        print(f"kontur-av: {answer.error}", file=sys.stderr)
+    try:
+        answer = ask(session, ARM_SOCKET, wanted, AuthorityAnswer)
+        while args.authority not in ("", answer.authority) and time.monotonic() < end_s:
+            time.sleep(_LOOK_S)
+            answer = ask(session, ARM_SOCKET, AuthorityRequest(), AuthorityAnswer)
+    except OSError as error:
+        print(f"kontur-av: {error}", file=sys.stderr)
         return 1
     print(state_words(answer))
     return 0 if args.authority in ("", answer.authority) else 1
@@ -58,14 +58,3 @@ def state_words(answer: AuthorityAnswer) -> str:
     if answer.waiting:
         return f"{answer.authority} drives, once the dead-man button was released and pressed"
     return f"{answer.authority} drives"
-
-
-def _ask(authority: str, session: str | None) -> AuthorityAnswer:
-    answer = send_request(
-        ARM_SOCKET,
-        AuthorityRequest(authority=authority),
-        AuthorityAnswer,
-        session,
-        missing=_MISSING,
-    )
-    return answer or AuthorityAnswer(ok=False, error="the session has ended before it answered")

@@ -3,12 +3,14 @@
 import argparse
 import sys
 import time
+from contextlib import suppress
 
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
 from pipelines.session.option_rows import add_actions, add_options
+from pipelines.session.requests import ask, running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminal_lines import (
+from pipelines.session.transfer_requests import (
     CANCEL,
     STATE,
     STATUS,
@@ -18,7 +20,6 @@ from pipelines.session.terminal_lines import (
     progress,
     socket_name,
 )
-from pipelines.session.terminals import running_sessions, send_request
 from telepresence.files.entity import DONE, FAILED
 
 _LOOK_S, _PUBLISH_S = 0.2, 2.0
@@ -66,20 +67,21 @@ def run(args: argparse.Namespace) -> int:
 def _follow(request: FileRequest, segment: Segment, session: str) -> int:
     """Ask, then print how far it is until it has ended; Ctrl-C cancels it."""
     began_s = told_s = heard_s = time.monotonic()
-    service, state, text, missing = socket_name(segment), "", "", _MISSING
+    service, state, text = socket_name(segment), "", ""
     try:
         while True:
-            answer = send_request(service, request, FileAnswer, session, missing=missing)
-            now_s = time.monotonic()
-            if answer is None:
-                if request.file == STATE and now_s - heard_s < _SILENT_S:
+            try:
+                answer = ask(session, service, request, FileAnswer)
+            except OSError:
+                if request.file == STATE and session not in running_sessions(service):
+                    raise ConfigError(f"session {session} has ended before the transfer") from None
+                if request.file == STATE and time.monotonic() - heard_s < _SILENT_S:
                     time.sleep(_LOOK_S)
                     continue
                 print("kontur-av: the session has not answered", file=sys.stderr)
                 return 1
-            if answer.mistake:
-                raise ConfigError(answer.text)
-            if not answer.ok or answer.state == FAILED:
+            now_s = time.monotonic()
+            if answer.state == FAILED:
                 print(f"kontur-av: failed: {answer.text}", file=sys.stderr)
                 return 1
             heard_s = now_s
@@ -97,11 +99,11 @@ def _follow(request: FileRequest, segment: Segment, session: str) -> int:
                 state, told_s = answer.state, now_s
                 print(f"{state}, {progress(answer)}", file=sys.stderr, flush=True)
             request = FileRequest(file=STATE, number=answer.number)
-            missing = f"session {session} has ended before the transfer"
             time.sleep(_LOOK_S)
     except KeyboardInterrupt:
         if request.file == STATE:
             cancel = FileRequest(file=CANCEL, number=request.number)
-            send_request(service, cancel, FileAnswer, session, missing=missing)
+            with suppress(OSError, ConfigError):
+                ask(session, service, cancel, FileAnswer)
             print("kontur-av: cancelled", file=sys.stderr)
         raise

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     given = {
         "addresses": addresses,
         "peer": one,
-        "tell_backlog": False,
+        "publish_backlog": False,
     }
     launcher = Launcher(
         session="link",

@@ -12,8 +12,8 @@ from pipelines.commands.common import acting_on
 from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.command_process import say
 from pipelines.session.option_rows import add_options
+from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminals import running_sessions
 from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome
 from pipelines.upkeep.sequence_runner import (
     MaintenanceLog,

@@ -11,9 +11,14 @@ from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_r
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import StreamOptions, add_session_options, stream_options
+from pipelines.session.recording_requests import (
+    RECORDER_SOCKET,
+    RecordingOptions,
+    begin_recording,
+    hold_recording,
+)
+from pipelines.session.requests import running_sessions
 from pipelines.session.setup.table import Setup
-from pipelines.session.terminal_lines import RecordingOptions
-from pipelines.session.terminals import begin_recording, hold_recording, recorded_sessions
 
 #: Shorter or smaller parts than these make no sense.
 _LEAST_S, _LEAST_MB = 1.0, 0.1
@@ -67,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     options = options_of(stream_options(args), held=True)
     assert options is not None
     check_recordable(Path(options.file), overwrite=args.overwrite)
-    session = acting_on(args.session, recorded_sessions())
+    session = acting_on(args.session, running_sessions(RECORDER_SOCKET))
     with stopped_by_signals() as ended:
         link = begin_recording(session, options, overwrite=args.overwrite)
         print(f"session {session} is recorded to {options.file}", flush=True)

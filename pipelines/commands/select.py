@@ -8,8 +8,8 @@ from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
 from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.option_rows import add_options
+from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminals import running_sessions
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

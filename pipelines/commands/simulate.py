@@ -6,8 +6,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import fields
 
 from kontur_av.errors import ConfigError
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.recording.replay_setup import load_replay
-from pipelines.report.model import CodingCosts, SessionReport
+from pipelines.report.model import SessionReport
 from pipelines.report.report_file import check_writable, end_report
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options, refuse_options

@@ -68,9 +68,10 @@ def _release(session: str) -> int:
         orders.release(f"a terminal of {_user()}")
     from pipelines.commands import tc
     from pipelines.hand.safety_ends import await_stopped
-    from pipelines.mission.tmtc_socket import tmtc_path
+    from pipelines.mission.tmtc_socket import tmtc_socket_name
+    from pipelines.session.requests import request_socket
 
-    here = [end for end in Segment if tmtc_path(session, end).exists()]
+    here = [end for end in Segment if request_socket(session, tmtc_socket_name(end)).exists()]
     if here == [Segment.SPACE]:
         # The robot is across the radio, and answers there.
         print(f"{session}: this end {'releases its stop' if held else 'has ordered no stop'}")

@@ -11,8 +11,8 @@ from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import Sending, tmtc_socket_name
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, ExperimentShown
 from pipelines.session.option_rows import add_options
+from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminals import running_sessions
 from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import TASKS
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary

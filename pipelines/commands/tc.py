@@ -17,8 +17,8 @@ from pipelines.mission.tmtc_messages import (
 from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
+from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminals import running_sessions
 from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.xtce import dictionary_xtce

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
 from pipelines.session.option_rows import add_actions
+from pipelines.session.requests import ask, running_sessions
 from pipelines.session.setup.former_names import INPUTS, current
-from pipelines.session.terminals import running_sessions, send_request
 from pipelines.session.training import (
     CAMERA,
     END,
@@ -46,15 +46,12 @@ def run(args: argparse.Namespace) -> int:
         camera=current(getattr(args, "camera", ""), INPUTS),
     )
     running = running_sessions(TRAINER_SOCKET)
-    session = acting_on(args.session, running, moves=True) if running else None
-    answer = send_request(TRAINER_SOCKET, request, TrainerAnswer, session, missing=_MISSING)
-    if answer is None:
-        print("kontur-av: the session's trainer has ended before it answered", file=sys.stderr)
+    if not running:
+        raise ConfigError(_MISSING)
+    session = acting_on(args.session, running, moves=True)
+    try:
+        print(ask(session, TRAINER_SOCKET, request, TrainerAnswer).text)
+    except OSError as error:
+        print(f"kontur-av: {error}", file=sys.stderr)
         return 1
-    if answer.mistake:
-        raise ConfigError(answer.text)
-    if not answer.ok:
-        print(f"kontur-av: {answer.text}", file=sys.stderr)
-        return 1
-    print(answer.text)
     return 0

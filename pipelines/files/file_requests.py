@@ -1,8 +1,8 @@
-"""What terminals ask of the file transfer, and the answers. A core."""
+"""Answers what the file transfer of an end is asked. A core."""
 
 from kontur_av.errors import ConfigError
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminal_lines import (
+from pipelines.session.transfer_requests import (
     CANCEL,
     STATE,
     STATUS,
@@ -30,32 +30,32 @@ class FileRequests:
     def handle_request(
         self, request: FileRequest, octets: bytes, refusal: str, now_ns: int
     ) -> FileAnswer:
-        """octets: of the file that is to be put; refusal: why they could not be read."""
+        """octets: of the file that is to be put; refusal: why they could not be read.
+
+        ConfigError for a request that is wrong.
+        """
         entity = self._entity
         if request.file == STATE:
             transfer = entity.transfers.get(request.number)
             if transfer is None:
-                return FileAnswer(ok=False, text="the session does not know this transfer any more")
+                text = "the session does not know this transfer any more"
+                return FileAnswer(state=FAILED, text=text)
             return self._answer(transfer, now_ns)
         if request.file == STATUS:
             return self._listing()
         if request.file not in (*KINDS, CANCEL):
             known = ", ".join((*KINDS, STATE, CANCEL, STATUS))
-            text = f"no request {request.file}: take one of {known}"
-            return FileAnswer(ok=False, text=text, mistake=True)
-        try:
-            if refusal:
-                raise ConfigError(refusal)
-            if request.file == CANCEL:
-                entity.cancel(request.number, now_ns)
-                return FileAnswer(ok=True, text="cancelled", state=DONE)
-            if request.file == PUT:
-                transfer = entity.put(request.first, request.second, octets, now_ns)
-            else:
-                transfer = entity.ask(request.file, request.first, request.second, now_ns)
-            return self._answer(transfer, now_ns)
-        except ConfigError as error:
-            return FileAnswer(ok=False, text=str(error), mistake=True)
+            raise ConfigError(f"no request {request.file}: take one of {known}")
+        if refusal:
+            raise ConfigError(refusal)
+        if request.file == CANCEL:
+            entity.cancel(request.number, now_ns)
+            return FileAnswer(text="cancelled", state=DONE)
+        if request.file == PUT:
+            transfer = entity.put(request.first, request.second, octets, now_ns)
+        else:
+            transfer = entity.ask(request.file, request.first, request.second, now_ns)
+        return self._answer(transfer, now_ns)
 
     def _listing(self) -> FileAnswer:
         """The transfers that were asked for here and are under way."""
@@ -74,12 +74,11 @@ class FileRequests:
             for one in open_yet[:_MOST_LISTED]
         )
         more = len(open_yet) - len(listed)
-        return FileAnswer(ok=True, state=DONE, transfers=listed, more=more)
+        return FileAnswer(state=DONE, transfers=listed, more=more)
 
     def _answer(self, transfer: Transfer, now_ns: int) -> FileAnswer:
         silent = SILENT if self._entity.unanswered(transfer, now_ns) else ""
         return FileAnswer(
-            ok=True,
             text=transfer.reason or transfer.text or silent,
             number=transfer.number,
             state=self._entity.state_of(transfer),

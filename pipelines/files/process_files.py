@@ -8,18 +8,18 @@ import select
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from socket import socket
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
-from kontur_av.topics.session_files import make_session_root
 from pipelines.files.file_requests import ENTITIES, FileRequests
 from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
 from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
-from pipelines.session.terminal_lines import FileAnswer, FileRequest, LineServer, socket_name
-from pipelines.session.terminals import TerminalSockets, request_socket
+from pipelines.session.requests import RequestServer
 from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import Segment, maintenance_stream
+from pipelines.session.transfer_requests import FileAnswer, FileRequest, socket_name
 from telepresence.files.entity import LARGEST_LISTING, PUT, STORE, DirectoryJob, FileEntity, fenced
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 from telepresence.files.sides import MAX_FILE_OCTETS
@@ -185,20 +185,20 @@ def run_files(
         delay_ns=delay_ns,
     )
     links = ServiceSockets(streams, services)
-    service = FileRequests(entity)
+    requests = FileRequests(entity)
 
-    def answer(request: FileRequest, now_ns: int) -> FileAnswer:
+    def answer(request: FileRequest, _terminal: int) -> FileAnswer:
         refusal, octets = directory.read(request.first) if request.file == PUT else ("", b"")
-        return service.handle_request(request, octets, refusal, now_ns)
+        return requests.handle_request(request, octets, refusal, clock.now_ns())
 
-    lines = LineServer(FileRequest, answer)
     udp = context.listen_media(topology.exit_port(maintenance_stream(segment.peer.transmits)))
     send = context.sender(topology.entry_port(maintenance_stream(segment.transmits)))
     context.on_flush(lambda: context.probe.publish(entity.report(clock.now_ns())))
     context.on_flush(lambda: context.probe.publish(streams.report()))
-    make_session_root(context.session)
-    terminals = TerminalSockets(request_socket(context.session, socket_name(segment)))
-    with context.open_bus() as bus:
+    with (
+        context.open_bus() as bus,
+        RequestServer(context, socket_name(segment), FileRequest, answer) as server,
+    ):
         link = TopicReader(bus, topology.link(segment.transmits).backlog_topic)
         while not context.stopping:
             now_ns = clock.now_ns()
@@ -223,20 +223,12 @@ def run_files(
                 entity.handle_done(job, refusal, now_ns, found)
             while (pdu := entity.poll_transmit(now_ns)) is not None:
                 send(pdu)
-            while (reply := lines.next_event()) is not None:
-                terminals.send(reply.terminal, reply.octets, last=reply.last)
             look_ns = _LOOK_NS if entity.open or streams.open else TIMEOUT_NS
             due = [entity.poll_timeout(now_ns), streams.poll_timeout(now_ns), now_ns + look_ns]
             due_ns = min(one for one in due if one is not None)
             wait_s = max(0, due_ns - clock.now_ns()) / NS_PER_S
-            asking = lines.asking
-            readers = [udp, *terminals.readers(asking), *links.readers]
+            readers: list[socket | int] = [udp, server.fileno(), *links.readers]
             ready, writable, _ = select.select(readers, links.writers, [], wait_s)
-            now_ns = clock.now_ns()
-            links.handle_ready(ready, writable, now_ns)
-            if (terminal := terminals.accept(ready)) is not None:
-                lines.handle_terminal(terminal)
-            for terminal, data in terminals.read(ready, asking):
-                lines.handle_octets(terminal, data, now_ns)
+            links.handle_ready(ready, writable, clock.now_ns())
+            server.serve()
     links.close()
-    terminals.close()

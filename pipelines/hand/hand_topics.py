@@ -1,15 +1,9 @@
-"""What page, joystick, robot and the arbiter of control publish; the arbiter.
-
-An operator hands the robot's haptic port over. A terminal's request is a line of JSON,
-`{"authority": "partner"}`; an empty one only asks. The answer is
-`{"ok": true, "authority": "operator", ...}` or `{"ok": false, "error": "..."}`.
-"""
+"""What page, joystick, robot and the arbiter of control publish; the arbiter."""
 
 from typing import NamedTuple
 
 import msgspec
 
-from pipelines.session.terminal_lines import LineServer
 from pipelines.session.topology.topics import Topic
 from telepresence.haptics.authority import Authority, AuthorityMetrics
 from telepresence.haptics.device.page import PageInput
@@ -126,7 +120,7 @@ JOYSTICK_STATE_TOPIC = Topic[JoystickStatus](
     "joystick/state", JoystickStatus, "state of the joystick, answer to a command"
 )
 
-#: The name of the Unix socket of its desk.
+#: The name of the arbiter's socket.
 ARM_SOCKET = "arm"
 #: Who is to drive.
 ARM_ORDER_TOPIC = Topic[Authority]("arm/order", Authority, "who is to drive the robot")
@@ -157,46 +151,37 @@ class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
 ARM_STATE_TOPIC = Topic[ArmState]("arm/state", ArmState, "who drives, and refused datagrams")
 
 
-class AuthorityRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """What a terminal asks. authority: who is to drive, or "" to ask who does; not checked yet."""
+class AuthorityRequest(msgspec.Struct, frozen=True):
+    """What a terminal asks. authority: who is to drive; None only asks who does."""
 
-    authority: object = ""
+    authority: Authority | None = None
 
 
-class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The state, or why not. mistake: the request itself was wrong."""
+class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, tag=True):
+    """Who drives; "": nobody. waiting: for a released dead-man button."""
 
-    ok: bool
-    error: str = ""
-    mistake: bool = False
-    authority: str = ""
-    wanted: str = ""
-    waiting: bool = False
+    authority: str
+    wanted: str
+    waiting: bool
 
 
 class ControlArbiter:
     """Takes requests. After each input publish `order`.
 
-    service: takes them. order: who is to drive. It outlives the process: give the last one.
+    order: who is to drive. It outlives the process: give the last one.
     """
 
     def __init__(self, order: Authority = Authority.OPERATOR) -> None:
         self.order = order
         self._state = ArmState(wanted=order.value)
-        self.service = LineServer(AuthorityRequest, self._answer)
 
     def handle_state(self, state: ArmState) -> None:
         """The robot has told who drives."""
         self._state = state
 
-    def _answer(self, request: AuthorityRequest, _now_ns: int) -> AuthorityAnswer:
-        wanted = request.authority
-        if wanted != "":
-            if wanted not in AUTHORITIES:
-                error = f"no authority {wanted}: take {' or '.join(AUTHORITIES)}"
-                return AuthorityAnswer(ok=False, error=error, mistake=True)
-            self.order = Authority(wanted)
+    def handle_request(self, request: AuthorityRequest, _now_ns: int) -> AuthorityAnswer:
+        self.order = request.authority or self.order
         state = self._state
         return AuthorityAnswer(
-            ok=True, authority=state.authority, wanted=self.order.value, waiting=state.waiting
+            authority=state.authority, wanted=self.order.value, waiting=state.waiting
         )

@@ -19,7 +19,7 @@ from telepresence.world import WorldState
 #: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
 _PHASE = 0.5
 #: A loop looks once in this many cycles for what is rare; two of them are a block of a trace.
-_SELDOM = BLOCK_ROWS // 2
+SELDOM = BLOCK_ROWS // 2
 
 #: What a loop calls, with the instant of the cycle.
 Cycle = Callable[[int], None]
@@ -53,7 +53,7 @@ def run_loop(
     """Run an end at 1 kHz.
 
     ports: the one of its samples, and the peer's. route: where samples go to more than one peer.
-    before, after: called in each cycle. seldom: called every `_SELDOM` cycles.
+    before, after: called in each cycle. seldom: called every `SELDOM` cycles.
     """
     clock, probe = context.clock, context.probe
     udp = context.listen_own(ports[0])
@@ -85,7 +85,7 @@ def run_loop(
 
     context.on_flush(fill)
     tick_ns = 0
-    wait = _SELDOM
+    wait = SELDOM
     while not context.stopping:
         sleep_until_ns(schedule.next_deadline_ns)
         now_ns = clock_ns()
@@ -116,7 +116,7 @@ def run_loop(
             after(now_ns)
         wait -= 1
         if not wait:
-            wait = _SELDOM
+            wait = SELDOM
             for look in seldom:
                 look(now_ns)
         if now_ns >= tick_ns:

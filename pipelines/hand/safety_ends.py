@@ -3,7 +3,6 @@
 And whether what the operator sees is too old to move a robot by.
 """
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
@@ -22,7 +21,7 @@ from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import JOYSTICK, ROBOT, Topology
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import NO_PICTURE, PageDevice
-from telepresence.haptics.envelope import Hold, SafetyLimits
+from telepresence.haptics.envelope import Hold, SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import RobotCapabilities
 from telepresence.tasks.definitions import ControlMode
 
@@ -60,28 +59,28 @@ class OperatorView:
 class CameraWatch:
     """At the robot: a change of the selected camera, and the frozen half of a merged picture.
 
-    `changed` is called at each change but the first.
+    A change needs a new press. Call `handle_time` every few cycles.
     """
 
-    def __init__(self, merged: str, stale_ns: int, changed: Callable[[], None]) -> None:
-        self._merged, self._stale_ns, self._changed = merged, stale_ns, changed
+    def __init__(self, setup: Setup, envelope: SafetyEnvelope) -> None:
+        self._stale_ns = setup.stale_after_ns(setup.uplink_video)
+        self._envelope = envelope
         self._camera: str | None = None
         self._captured_ns: int | None = None
 
     def handle_choice(self, camera: str) -> None:
         if self._camera is not None and camera != self._camera:
-            self._changed()
+            self._envelope.require_press(Hold.CAMERA)
         self._camera = camera
 
     def handle_halves(self, captured_ns: int) -> None:
         """The older half of the newest merged picture was captured then."""
         self._captured_ns = captured_ns
 
-    def is_blind(self, now_ns: int) -> bool:
-        """Whether the operator looks at a merged picture of which a half is too old."""
-        if self._camera != self._merged or self._captured_ns is None:
-            return False
-        return now_ns - self._captured_ns > self._stale_ns
+    def handle_time(self, now_ns: int) -> None:
+        """Tell whether the operator looks at a merged picture of which a half is too old."""
+        captured_ns = self._captured_ns if self._camera == STEREO else None
+        self._envelope.blind = captured_ns is not None and now_ns - captured_ns > self._stale_ns
 
 
 #: A repeated stop clears the bit for `_PULSE_NS` every `_EVERY_NS`. It does so for `_LEAST_NS`, and
@@ -254,9 +253,7 @@ def look_at_picture(bus: TopicBus, topology: Topology, handle: OperatedHandle) -
 
 def watch_camera(bus: TopicBus, setup: Setup, end: RobotEnd) -> Cycle:
     """Return what holds the robot at a change of the camera, and at half a frozen picture."""
-    envelope = end.envelope
-    stale_ns = setup.stale_after_ns(setup.uplink_video)
-    watch = CameraWatch(STEREO, stale_ns, lambda: envelope.require_press(Hold.CAMERA))
+    watch = CameraWatch(setup, end.envelope)
     choices = TopicReader(bus, SELECTED_TOPIC)
     halves = TopicReader(bus, HALVES_TOPIC) if STEREO in setup.cameras else None
 
@@ -265,6 +262,6 @@ def watch_camera(bus: TopicBus, setup: Setup, end: RobotEnd) -> Cycle:
             watch.handle_choice(choice.camera)
         if halves is not None and (oldest_ns := halves.latest()) is not None:
             watch.handle_halves(oldest_ns)
-        envelope.blind = watch.is_blind(now_ns)
+        watch.handle_time(now_ns)
 
     return look

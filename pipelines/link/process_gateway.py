@@ -313,8 +313,8 @@ class _GatewayLoop:
                 alarm_ns = poll_timeout()
             if now_ns < alarm_ns:
                 continue
-            slot = now_ns >= slots.wake_ns
             deadline_ns = slots.deadline_ns
+            slot = now_ns >= deadline_ns
             if slot:
                 now_ns = self._run_slot(now_ns)
             while (frame := poll_radio(now_ns)) is not None:
@@ -349,10 +349,6 @@ class _GatewayLoop:
         slots, ports, clock_ns = self._slots, self._ports, self._clock_ns
         if ready := ports.poll_flows(0):
             slots.handle_datagrams(ports.datagrams(ready), now_ns)
-        now_ns = clock_ns()
-        slots.handle_ready(now_ns)
-        deadline_ns = slots.deadline_ns
-        while now_ns < deadline_ns:
             now_ns = clock_ns()
         self._lateness.append(slots.handle_slot(ports.samples(), now_ns))
         return now_ns

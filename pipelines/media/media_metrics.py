@@ -1,7 +1,10 @@
 """What cameras, microphones, senders and displays count."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
+from kontur_av.media import VideoCodec
 from kontur_av.metrics import Most, Newest
 from kontur_av.streams.staleness import State
 
@@ -84,3 +87,37 @@ class SnapshotMetrics:
     snapshots: int = 0
     #: Files that could not be written.
     snapshots_failed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodingCosts:
+    """Durations on virtual time; defaults: medians of live sessions on two cores.
+
+    capture_ms: from the capture of a picture to its arrival at the encoder: drawing, the stereo
+        merge, the selector, and three wake-ups.
+    encode_ms, decode_ms: of one picture, its wake-up included.
+    encode_h265_ms, decode_h265_ms: of HEVC; estimated from H.264's and the codec's extra time.
+    voice_encode_ms, voice_decode_ms: of one block of sound.
+    """
+
+    capture_ms: float = 4.0
+    encode_ms: float = 6.0
+    decode_ms: float = 3.0
+    encode_h265_ms: float = 13.0
+    decode_h265_ms: float = 3.5
+    voice_encode_ms: float = 1.7
+    voice_decode_ms: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not 0 <= value <= 1000:
+                option = f"--{name.replace('_', '-')}"
+                raise ConfigError(f"{option} {value:g}: take 0 to 1000 milliseconds")
+
+    def ns(self, name: str) -> int:
+        """Return the duration `name` in ns, at least 1, so that an effect follows its cause."""
+        cost_ms: float = getattr(self, f"{name}_ms")
+        return max(1, round(cost_ms * NS_PER_MS))
+
+    def picture_ns(self, name: str, codec: VideoCodec) -> int:
+        return self.ns(name if codec == "h264" else f"{name}_{codec}")

@@ -2,6 +2,7 @@
 
 import secrets
 import select
+from dataclasses import replace
 from typing import Protocol
 
 from kontur_av.clock import NS_PER_S
@@ -11,7 +12,8 @@ from kontur_av.media import AudioFrame
 from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.session_files import remember, session_root
 from pipelines.media.coded_topics import ReceivedTopics
-from pipelines.media.stream_metrics import note_arrivals, note_unit, video_receiver, voice_receiver
+from pipelines.media.stream_metrics import note_arrivals, voice_receiver
+from pipelines.media.video_ends import VideoReceiveEnd
 from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.session_metrics import DecodedRow
@@ -68,42 +70,28 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
     """Decode every access unit, and publish its picture with the sender's capture time."""
     row = context.topology.video(stream.name)
     clock, probe = context.clock, context.probe
-    receiver = video_receiver(
-        stream, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
-    )
-    decoder = VideoDecoder(stream.codec, size=(stream.width, stream.height))
     # Made before the receiver's series, so that the decoding of a picture is reported first.
     decoded = probe.series(DecodedRow)
-
-    def publish() -> None:
-        probe.publish(receiver.counts)
-        probe.publish(decoder.counts)
-
-    context.on_flush(publish)
+    end = VideoReceiveEnd(
+        stream, probe, ssrc=secrets.randbits(32), wall_offset_ns=clock.wall_offset_ns
+    )
+    decoder = VideoDecoder(stream.codec, size=(stream.width, stream.height))
+    context.on_flush(end.publish)
     with context.open_bus() as bus:
-        incoming = Incoming(context, stream, receiver)
+        incoming = Incoming(context, stream, end)
         to_sender = context.sender(context.topology.entry_port(row.feedback))
         largest_octets = stream.width * stream.height * 3 // 2
         writer = bus.writer(row.received_topic, max_octets=largest_octets)
         topics = ReceivedTopics(bus, stream, coded=row.coded_topic, decoded=row.decoded_topic)
         while not context.stopping:
             context.tick(clock.now_ns())
-            incoming.wait(receiver.poll_timeout())
-            receiver.handle_timeout(clock.now_ns())
-            while (unit := receiver.next_event()) is not None:
-                note_unit(probe, unit)
-                corrupt = decoder.counts.frames_corrupt
+            incoming.wait(end.poll_timeout())
+            end.handle_timeout(clock.now_ns())
+            while (unit := end.next_unit()) is not None:
                 pictures = decoder.decode(unit.data, unit.timestamp)
-                if decoder.counts.frames_corrupt > corrupt:
-                    receiver.handle_undecoded()
-                for picture in pictures:
-                    stamp = receiver.handle_picture(
-                        picture.timestamp,
-                        picture.width,
-                        picture.height,
-                        receiver.capture_ns(picture.timestamp),
-                        corrupt=picture.corrupt,
-                    )
+                sizes = [(one.timestamp, one.width, one.height, one.corrupt) for one in pictures]
+                stamps = end.handle_decoded(sizes, replace(decoder.counts))
+                for picture, stamp in zip(pictures, stamps, strict=True):
                     if stamp is not None:
                         loan = writer.loan_picture(stream.width, stream.height)
                         picture.scale_into(loan.picture)
@@ -111,9 +99,9 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         decoded.add(DecodedRow(picture.timestamp, clock.now_ns()))
                         loan.publish(stamp)
                     topics.handle_picture(picture, stamp)
-                if topics.handle_unit(unit, receiver.capture_ns(unit.timestamp)):
-                    receiver.handle_new_viewer()
-            feedback = receiver.poll_feedback(clock.now_ns())
+                if topics.handle_unit(unit, end.capture_ns(unit.timestamp)):
+                    end.handle_new_viewer()
+            feedback = end.poll_feedback(clock.now_ns())
             if feedback is not None:
                 to_sender(feedback)
 

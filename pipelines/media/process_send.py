@@ -1,210 +1,139 @@
 """A stream's sending process: topic -> encoder -> pacer -> RTP to the gateway."""
 
 import secrets
+from collections.abc import Callable
 from dataclasses import replace
 
-from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
-from pipelines.media.following import (
-    FOLLOWED_TOPIC,
-    SELECTED_TOPIC,
-    CameraFollower,
-    TipRegion,
-    tip_region,
-)
-from pipelines.media.gain import LinkedVideoSender, gain_of
-from pipelines.media.stream_metrics import publish_sender, to_gateway, video_sender, voice_sender
+from pipelines.media.following import FOLLOWED_TOPIC, SELECTED_TOPIC
+from pipelines.media.stream_metrics import Outgoing, publish_sender, voice_sender
+from pipelines.media.video_ends import VideoSendEnd
 from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import ROBOT_TOPIC
-from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.process import Context, wait_ns
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from telepresence.world import WorldState
 
-#: How long to sleep at least while a switch keeps the sender from encoding.
-_SWITCH_NS = NS_PER_MS
+Send = Callable[[bytes, int], object]
+
+
+def to_gateway(context: Context, stream: str) -> tuple[Send, Send]:
+    """Return what sends a stream's packets to the gateway, and what sends its reports."""
+    topology = context.topology
+    send_rtp = context.sender(topology.entry_port(stream))
+    send_rtcp = context.sender(topology.entry_port(topology.media(stream).rtcp))
+    return lambda datagram, _: send_rtp(datagram), lambda datagram, _: send_rtcp(datagram)
+
+
+class VideoOutlet:
+    """A `VideoSendEnd` with its sockets and topics. Wait for its `feedback`, then `work`."""
+
+    def __init__(
+        self, context: Context, bus: TopicBus, stream: VideoStream, *, follows: bool = False
+    ) -> None:
+        self._clock, row = context.clock, context.topology.video(stream.name)
+        self.end = VideoSendEnd[Lease](
+            context.setup,
+            stream,
+            RtpIdentity.draw(secrets.randbits),
+            context.probe,
+            to_gateway(context, stream.name),
+            wall_offset_ns=context.clock.wall_offset_ns,
+            follows=follows,
+            release=Lease.release,
+        )
+        context.on_flush(self.end.publish)
+        self.feedback = context.listen_media(context.topology.exit_port(row.feedback))
+        self.backlogs = TopicReader(bus, row.backlog_topic)
+        self.sent = SentTopic(bus, row.name, row.sent_topic)
+
+    def work(self) -> None:
+        """Take the gateway's report and the receiver's feedback, and send what is due."""
+        clock, end = self._clock, self.end
+        if (backlog := self.backlogs.latest()) is not None:
+            end.handle_backlog(backlog, self.backlogs.newest_ns, clock.now_ns())
+        end.handle_time(clock.now_ns())
+        while (datagram := receive(self.feedback)) is not None:
+            end.handle_feedback(datagram, clock.now_ns())
 
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) -> None:
-    """Send the newest picture of `topic` whenever the channel is about to become free.
-
-    topic: None for the camera that the selector chooses.
-    """
+    """Send the newest picture of `topic`; None: of the camera that the selector chooses."""
     switch_threads_often()
-    clock, probe = context.clock, context.probe
-    tip = tip_region(context.setup) if topic is None else None
-    encoder = encoder_of(stream.codec)(
-        width=stream.width,
-        height=stream.height,
-        fps=stream.coded_hz,
-        cap_bps=stream.cap_bps,
-        coded_size=stream.coded,
-        regions=tip is not None,
-    )
-    row = context.topology.video(stream.name)
-    identity = RtpIdentity.draw(secrets.randbits)
-    sender = video_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
-    linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
-    outgoing = to_gateway(context, stream, sender)
-    feedback = context.listen_media(context.topology.exit_port(row.feedback))
-    context.on_flush(lambda: publish_sender(probe, sender, linked.gain))
-    with (
-        context.open_bus() as bus,
-        # The thread reads shared memory, so it ends before the bus.
-        EncodingThread(encoder, clock) as encoding,
-    ):
-        selection = None if topic is not None else SelectionTopics(context, bus)
+    clock, follows = context.clock, topic is None
+    with context.open_bus() as bus:
+        outlet = VideoOutlet(context, bus, stream, follows=follows)
+        end = outlet.end
+        encoder = encoder_of(stream.codec)(
+            width=stream.width,
+            height=stream.height,
+            fps=stream.coded_hz,
+            cap_bps=stream.cap_bps,
+            coded_size=stream.coded,
+            regions=end.regions,
+        )
+        choices = TopicReader(bus, SELECTED_TOPIC) if follows else None
+        confirmed = TopicWriter(bus, FOLLOWED_TOPIC, wake=True) if follows else None
+        robot = TopicReader(bus, ROBOT_TOPIC) if end.regions else None
         reader = None if topic is None else bus.reader(topic)
-        backlogs = TopicReader(bus, row.backlog_topic)
-        robot = None if tip is None else TopicReader(bus, ROBOT_TOPIC)
-        sent = SentTopic(bus, row.name, row.sent_topic)
-        sockets = [feedback.fileno(), encoding.fileno()]
-        waiter = bus.waiter(_wakers(reader, selection), sockets)
-        # The newest picture, held until it is encoded or a newer one comes, and the one that is
-        # being encoded.
-        held: Lease | None = None
+        #: The picture in the encoder; readers of earlier cameras, closed when it is none of theirs.
         encoded: Lease | None = None
-        #: Readers of earlier cameras, closed when none of their pictures is being encoded.
         retired: list[Reader] = []
-        while not context.stopping:
-            now_ns = clock.now_ns()
-            context.tick(now_ns)
-            due_ns = sender.poll_timeout()
-            wait_ns = TIMEOUT_NS if due_ns is None else min(TIMEOUT_NS, due_ns - now_ns)
-            if selection is not None and selection.waits:
-                # The scheduler asks for a picture that must not be encoded, or is yet to come.
-                wait_ns = max(wait_ns, _SWITCH_NS)
-            waiter.wait(wait_ns)
-            if selection is not None and selection.handle_choice():
-                if held is not None:
-                    held.release()
-                    held = None
-                if reader is not None:
-                    retired.append(reader)
-                reader = bus.reader(selection.topic)
-                del waiter
-                waiter = bus.waiter(_wakers(reader, selection), sockets)
-            if reader is not None and reader.has_new():
-                if held is not None:
-                    # Released first, because a reader can hold two samples and the one it takes.
-                    held.release()
-                skipped = reader.skipped
-                held = reader.latest()
-                if held is not None:
-                    skipped = reader.skipped - skipped
-                    sender.handle_picture(held.stamp, clock.now_ns(), skipped=skipped)
-                    if selection is not None:
-                        selection.handle_picture()
-            if (backlog := backlogs.latest()) is not None:
-                linked.handle_backlog(backlog, backlogs.newest_ns, clock.now_ns())
-            outgoing.handle_time(clock.now_ns())
-            while (datagram := receive(feedback)) is not None:
-                sender.handle_feedback(datagram, clock.now_ns())
-            done = encoding.poll()
-            if done is not None and encoded is not None:
-                encoded.release()
-                encoded = None
-                sender.handle_access_unit(done.unit, done.encoded_ns)
-                outgoing.handle_time(clock.now_ns())
-                if sent.handle_unit(done.unit, encoder.unit_size):
-                    sender.handle_new_viewer()
-            if encoded is None:
-                for old in retired:
-                    old.close()
-                retired.clear()
-            if selection is not None:
-                selection.handle_sender(
-                    idle=encoded is None and not sender.backlog_octets, now_ns=clock.now_ns()
-                )
-            if held is not None and (selection is None or selection.may_encode):
-                coding = linked.poll_encode(clock.now_ns())
-                if coding is not None:
-                    frame, region = held.video(), None
-                    if selection is not None:
-                        frame = replace(frame, stamp=selection.restamp(frame.stamp))
-                        if tip is not None and robot is not None:
-                            read_tip(robot, tip)
-                            region = tip.region(selection.camera, clock.now_ns())
-                    encoding.submit(frame, coding, region)
-                    held, encoded = None, held
-        encoding.close()
-        for lease in (held, encoded):
-            if lease is not None:
-                lease.release()
-        for old in retired:
-            old.close()
-        outgoing.close(clock.now_ns())
-        del waiter
-
-
-class SelectionTopics:
-    """The choice of the camera as the sender sees it, and its confirmation, as topics."""
-
-    def __init__(self, context: Context, bus: TopicBus) -> None:
-        self._topology = context.topology
-        self._follower = CameraFollower()
-        self._choices = TopicReader(bus, SELECTED_TOPIC)
-        self.reader = self._choices.open()
-        self._writer = TopicWriter(bus, FOLLOWED_TOPIC, wake=True)
-        #: No picture has come since another camera was selected.
-        self._new = False
-        self.restamp = self._follower.restamp
-
-    @property
-    def topic(self) -> str:
-        assert self._follower.camera is not None
-        return self._topology.camera(self._follower.camera).topic
-
-    @property
-    def camera(self) -> str | None:
-        """The selected camera; None before the first choice."""
-        return self._follower.camera
-
-    @property
-    def may_encode(self) -> bool:
-        """Whether no picture of the previous camera is coded or waits to be sent."""
-        return not self._follower.leaving
-
-    @property
-    def waits(self) -> bool:
-        """Whether no picture can be encoded because another camera was selected."""
-        return self._new or self._follower.leaving
-
-    def handle_choice(self) -> bool:
-        """Read the newest choice; True if another camera is selected now."""
-        choice = self._choices.latest()
-        if choice is None:
-            return False
-        changed = self._follower.handle_choice(choice)
-        self._new = self._new or changed
-        return changed
-
-    def handle_picture(self) -> None:
-        self._new = False
-
-    def handle_sender(self, *, idle: bool, now_ns: int) -> None:
-        """Confirm the choice if possible. idle: nothing is being encoded or waits to be sent."""
-        self._follower.handle_sender(idle=idle)
-        number = self._follower.poll_confirmed(now_ns)
-        if number is not None:
-            self._writer.publish(number, now_ns)
-
-
-def read_tip(robot: TopicReader[WorldState], tip: TipRegion) -> None:
-    """Tell `tip` the robot's newest state, if there is a new one."""
-    if (state := robot.latest()) is not None:
-        tip.handle_tip(state.x_m, state.y_m, state.time_ns)
-
-
-def _wakers(reader: Reader | None, selection: SelectionTopics | None) -> list[Reader]:
-    """The readers whose new samples wake the sender."""
-    wakers = [] if reader is None else [reader]
-    return wakers if selection is None else [*wakers, selection.reader]
+        # The thread reads shared memory, so it ends before the bus.
+        with EncodingThread(encoder, clock) as encoding:
+            sockets = [outlet.feedback.fileno(), encoding.fileno()]
+            chosen = [] if choices is None else [choices.open()]
+            waiter = bus.waiter([*chosen, *([reader] if reader else [])], sockets)
+            while not context.stopping:
+                now_ns = clock.now_ns()
+                context.tick(now_ns)
+                waiter.wait(wait_ns(now_ns, end.poll_timeout(now_ns)))
+                choice = None if choices is None else choices.latest()
+                if choice is not None and end.handle_choice(choice):
+                    if reader is not None:
+                        retired.append(reader)
+                    assert end.camera is not None
+                    reader = bus.reader(context.topology.camera(end.camera).topic)
+                    del waiter
+                    waiter = bus.waiter([*chosen, reader], sockets)
+                if reader is not None and reader.has_new():
+                    # Dropped first: a reader can hold two samples and the one that it takes.
+                    end.drop()
+                    skipped = reader.skipped
+                    if (lease := reader.latest()) is not None:
+                        skipped = reader.skipped - skipped
+                        end.handle_picture(lease, lease.stamp, clock.now_ns(), skipped=skipped)
+                outlet.work()
+                if (done := encoding.poll()) is not None and encoded is not None:
+                    encoded.release()
+                    encoded = None
+                    end.handle_unit(done.unit, done.encoded_ns, clock.now_ns())
+                    if outlet.sent.handle_unit(done.unit, encoder.unit_size):
+                        end.handle_new_viewer()
+                if encoded is None:
+                    while retired:
+                        retired.pop().close()
+                number = end.poll_confirmed(clock.now_ns())
+                if confirmed is not None and number is not None:
+                    confirmed.publish(number, clock.now_ns())
+                if robot is not None and (state := robot.latest()) is not None:
+                    end.handle_state(state)
+                if (work := end.poll_encode(clock.now_ns())) is not None:
+                    encoded = work.picture
+                    frame = replace(encoded.video(), stamp=work.stamp)
+                    encoding.submit(frame, work.coding, work.region)
+            del waiter
+        end.drop()
+        if encoded is not None:
+            encoded.release()
+        while retired:
+            retired.pop().close()
+        end.close(clock.now_ns())
 
 
 def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None:
@@ -215,7 +144,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
         context.setup, stream, identity, wall_offset_ns=context.clock.wall_offset_ns
     )
     encoder = OpusEncoder(bitrate_bps=sender.bitrate_bps)
-    outgoing = to_gateway(context, stream, sender)
+    outgoing = Outgoing(sender, probe, *to_gateway(context, stream.name))
     context.on_flush(lambda: publish_sender(probe, sender))
     with context.open_bus() as bus:
         reader = bus.reader(topic, depth=8)
@@ -223,8 +152,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
-            due_ns = sender.poll_timeout()
-            reader.wait(TIMEOUT_NS if due_ns is None else min(TIMEOUT_NS, due_ns - now_ns))
+            reader.wait(wait_ns(now_ns, sender.poll_timeout()))
             while (lease := reader.next()) is not None:
                 with lease:
                     if not sender.handle_block(lease.stamp, clock.now_ns()):

@@ -6,6 +6,7 @@ from pipelines.media.following import FOLLOWED_TOPIC, HALVES_TOPIC, SELECTED_TOP
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC, ROBOT_TOPIC
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topology import (
+    PICTURE_PRIORITY,
     STEREO_TOPIC,
     VOICE_PRIORITY,
     InputRow,
@@ -34,6 +35,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=Segment.GROUND,
             stage=Stage.RELAY,
             run="pipelines.media.process_capture:run_stereo",
+            priority=PICTURE_PRIORITY,
             reads=tuple(row.topic for row in session.inputs if row.name in STEREO_INPUTS),
             writes=(STEREO_TOPIC, HALVES_TOPIC),
             what="merges the robot's two cameras into one picture",
@@ -64,7 +66,7 @@ def _capture(session: Topology, row: InputRow) -> ProcessRow:
         stage=Stage.SOURCE,
         run=f"pipelines.media.process_capture:{'run_camera' if video else 'run_microphone'}",
         arguments={"name": row.name, "stream": media.stream} if video else {"name": row.name},
-        priority=0 if video else VOICE_PRIORITY,
+        priority=PICTURE_PRIORITY if video else VOICE_PRIORITY,
         reads=(ROBOT_TOPIC, row.page_topic, *given(video, TRAINER_TOPIC, MISSION_LEDS_TOPIC)),
         writes=(row.topic, *given(video, row.preview_topic)),
         what="captures pictures" if video else "captures sound",
@@ -84,7 +86,7 @@ def _sender(session: Topology, row: MediaRow) -> ProcessRow:
         stage=Stage.SENDER,
         run=f"pipelines.media.process_send:run_{'video' if video else 'voice'}_send",
         arguments={"stream": row.stream, "topic": topic},
-        priority=0 if video else VOICE_PRIORITY,
+        priority=PICTURE_PRIORITY if video else VOICE_PRIORITY,
         reads=(
             *taken,
             *given(video, row.backlog_topic),
@@ -104,7 +106,7 @@ def _receiver(session: Topology, row: MediaRow) -> ProcessRow:
         stage=Stage.RECEIVER,
         run=f"pipelines.media.process_receive:run_{'video' if video else 'voice'}_receive",
         arguments={"stream": row.stream},
-        priority=0 if video else VOICE_PRIORITY,
+        priority=PICTURE_PRIORITY if video else VOICE_PRIORITY,
         reads=() if video else tuple(shown),
         writes=(
             row.received_topic,

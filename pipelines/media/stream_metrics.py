@@ -16,7 +16,6 @@ from kontur_av.streams.voice_sender import VoiceSender
 from pipelines.media.gain import CapGain
 from pipelines.media.media_metrics import GainMetrics
 from pipelines.session.probe import Probe
-from pipelines.session.process import Context
 from pipelines.session.session_metrics import CodingRow, OutRow, RxRow, TxRow
 from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, Setup, VideoStream, VoiceStream
 from pipelines.session.topology import Topology
@@ -144,18 +143,3 @@ def note_arrivals(probe: Probe, receiver: VoiceReceiver) -> None:
     """Packets of a voice may have come."""
     arrivals = receiver.take_arrivals()
     probe.series(RxRow).extend(RxRow(one.timestamp, one.received_ns) for one in arrivals)
-
-
-def to_gateway(
-    context: Context, stream: VideoStream | VoiceStream, sender: VideoSender | VoiceSender
-) -> Outgoing:
-    """Return a stream's output, which sends to the gateway."""
-    topology = context.topology
-    send_rtp = context.sender(topology.entry_port(stream.name))
-    send_rtcp = context.sender(topology.entry_port(topology.media(stream.name).rtcp))
-    return Outgoing(
-        sender,
-        context.probe,
-        lambda datagram, _: send_rtp(datagram),
-        lambda datagram, _: send_rtcp(datagram),
-    )

@@ -28,8 +28,8 @@ from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC,
 from pipelines.mission.choosing import CAMERA, SELECT
 from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
 from pipelines.mission.tmtc_socket import Sending, read_dictionary, tmtc_socket_name
+from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminals import running_sessions
 from pipelines.session.topology import displayed_topic, page_topic
 
 _CLIENT = "JoinedSession"

@@ -20,11 +20,17 @@ from pipelines.session.mission_messages import (
     LedsShown,
     PanelShown,
 )
-from pipelines.session.process import Context
-from pipelines.session.terminals import serve_terminals
+from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.requests import RequestServer
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import PANEL, Segment, leds_port
-from pipelines.session.training import TRAINER_SOCKET, TRAINER_TOPIC, Trainer, TrainerReach
+from pipelines.session.training import (
+    TRAINER_SOCKET,
+    TRAINER_TOPIC,
+    Trainer,
+    TrainerReach,
+    TrainerRequest,
+)
 from telepresence.haptics.device.states import JoystickState
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.panel_picture import STATE_OCTETS, LedPanel
@@ -121,13 +127,21 @@ def run_panel(context: Context) -> None:
 
 def run_trainer(context: Context) -> None:
     """Take requests, and publish what lasts."""
+    now_ns = context.clock.now_ns
     trainer = Trainer(context.probe, TrainerReach.of(context.topology))
     context.on_flush(trainer.publish)
-    with context.open_bus() as bus:
+    with (
+        context.open_bus() as bus,
+        RequestServer(
+            context,
+            TRAINER_SOCKET,
+            TrainerRequest,
+            lambda request, _: trainer.handle_request(request, now_ns()),
+        ) as server,
+    ):
         writer = TopicWriter(bus, TRAINER_TOPIC)
-
-        def publish(now_ns: int) -> None:
-            if (exercises := trainer.poll_exercises(now_ns)) is not None:
-                writer.publish(exercises, now_ns)
-
-        serve_terminals(context, TRAINER_SOCKET, trainer.service, publish)
+        while not context.stopping:
+            context.tick(now_ns())
+            server.serve(TIMEOUT_NS)
+            if (exercises := trainer.poll_exercises(now_ns())) is not None:
+                writer.publish(exercises, now_ns())

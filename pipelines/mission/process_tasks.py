@@ -15,6 +15,7 @@ from pathlib import Path
 import msgspec
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import make_session_root, remember, session_root
 from pipelines.link.link_metrics import CONNECTED, link_state_topic
@@ -34,16 +35,19 @@ from pipelines.session.mission_messages import (
     RobotStatus,
 )
 from pipelines.session.process import Context
-from pipelines.session.task_journal import KEPT, LinkMeanwhile
-from pipelines.session.terminal_lines import (
-    START,
-    STATE,
-    STOP,
+from pipelines.session.recording_requests import (
+    RECORDER_S,
+    RECORDER_SOCKET,
+    RETURN_S,
+    AskRecording,
     RecordAnswer,
     RecordingOptions,
     RecordRequest,
+    StartRecording,
+    StopRecording,
 )
-from pipelines.session.terminals import RecorderLink
+from pipelines.session.requests import ask
+from pipelines.session.task_journal import KEPT, LinkMeanwhile
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import TASKS, Segment, leds_port
 from pipelines.session.training import TRAINER_TOPIC
@@ -209,11 +213,8 @@ def _read(path: Path) -> MissionMemory | None:
         return None
 
 
-#: A recorder that was killed is there again within this time.
-_RETURN_S, _AGAIN_S = 4.0, 0.1
 #: So much longer than the run its file lasts.
 _TAIL_S = 1.0
-_NO_ANSWER = "the recorder does not answer"
 
 
 class RunFiles:
@@ -265,10 +266,11 @@ class RunFiles:
             work()
 
     def _begin(self, options: RecordingOptions) -> None:
-        answer = self._ask(RecordRequest(record=START, options=options, overwrite=True))
-        if answer is None or not answer.ok:
+        try:
+            self._ask(StartRecording(options=options, overwrite=True))
+        except (ConfigError, OSError) as error:
             self.unrecorded += 1
-            self.why = _NO_ANSWER if answer is None else answer.error
+            self.why = str(error)
         # A run is done without its file rather than not at all.
         self.recording = True
 
@@ -276,21 +278,19 @@ class RunFiles:
         self.recording = False
         # The run's own result belongs into its file.
         time.sleep(_TAIL_S)
-        now = self._ask(RecordRequest(record=STATE))
-        if now is not None and now.file and Path(now.file).parent == self._directory:
-            self._ask(RecordRequest(record=STOP))
+        with suppress(ConfigError, OSError):
+            file = self._ask(AskRecording()).file
+            if file and Path(file).parent == self._directory:
+                self._ask(StopRecording())
 
-    def _ask(self, request: RecordRequest) -> RecordAnswer | None:
-        """Return the recorder's answer; None if there is none, also not from its next start."""
-        until_s = time.monotonic() + _RETURN_S
-        while True:
-            try:
-                link = RecorderLink(self._session)
-                try:
-                    return link.ask(request)
-                finally:
-                    link.close()
-            except OSError:
-                if self._closing or time.monotonic() > until_s:
-                    return None
-            time.sleep(_AGAIN_S)
+    def _ask(self, request: RecordRequest) -> RecordAnswer:
+        """Return the recorder's answer, also that of its next start."""
+        return_s = 0.0 if self._closing else RETURN_S
+        return ask(
+            self._session,
+            RECORDER_SOCKET,
+            request,
+            RecordAnswer,
+            timeout_s=RECORDER_S,
+            return_s=return_s,
+        )

@@ -1,6 +1,6 @@
 """The processes of PUS in space and on the ground, console and selector, and of users' components.
 
-`TmtcEnd` decides. This module carries octets between it, the topics of its segment and the radio.
+`TmtcSegment` decides. Here octets are carried between it, the topics of its segment and the radio.
 The selector reads no pictures. A choice is kept in a file, then published, and its telecommand is
 completed when the sender has confirmed it.
 
@@ -11,7 +11,6 @@ outlives the process.
 import secrets
 from collections import deque
 from collections.abc import Callable
-from socket import socket
 from typing import Any
 
 import msgspec
@@ -24,11 +23,16 @@ from pipelines.link.link_metrics import link_state_topic
 from pipelines.media.following import FOLLOWED_TOPIC, SELECTED_TOPIC
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.component_service import ComponentService
-from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
-from pipelines.mission.tmtc import TmtcEnd
-from pipelines.mission.tmtc_messages import MAX_NEWS_OCTETS, TMTC_TOPICS, FunctionAsked, Values
-from pipelines.mission.tmtc_socket import TmtcSocket, send_to_tmtc, write_dictionary
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
+from pipelines.mission.tmtc_messages import (
+    MAX_NEWS_OCTETS,
+    MAX_REQUEST_OCTETS,
+    TMTC_TOPICS,
+    FunctionAsked,
+    TmtcRequest,
+    Values,
+)
+from pipelines.mission.tmtc_segment import TmtcSegment
+from pipelines.mission.tmtc_socket import send_to_tmtc, tmtc_socket_name, write_dictionary
 from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import (
     MISSION_CAMERA_TOPIC,
@@ -37,6 +41,7 @@ from pipelines.session.mission_messages import (
     ROBOT_TOPIC,
 )
 from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.requests import RequestServer
 from pipelines.session.session_metrics import ProcessState
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import (
@@ -92,50 +97,46 @@ class TmtcServer:
     ) -> None:
         clock = context.clock
         now_ns = clock.now_ns()
-        dictionary = session_dictionary(built_in_dictionary(), context.topology)
-        self.end = TmtcEnd(
+        self._tmtc = tmtc = TmtcSegment(
             segment,
-            dictionary,
+            context.topology,
+            built_in_dictionary(),
             now_ns=now_ns,
+            first_number=now_ns,
             first_count=secrets.randbelow(COUNT_MODULUS),
             boot_id=(now_ns + clock.wall_offset_ns) // NS_PER_S,
             epoch_ns=clock.wall_offset_ns,
-            delay_ns=context.setup.radio_profile.longest_delay_ns,
         )
+        self.end = tmtc.end
         self._send, self._ask, self._context = send, ask, context
-        self._supervisor = ProcessSupervisor(segment, context.topology)
         self._packets = _PacketTopics(bus, segment)
         self._news = TopicWriter(bus, TMTC_TOPICS[segment], wake=True, octets=MAX_NEWS_OCTETS)
-        gateway = GatewaySource(self.end, f"{segment.value}_gateway")
         link = TopicReader(bus, link_state_topic(segment))
         self._topics: list[tuple[TopicReader[Any], Callable[[Any, int], None]]] = [
-            (link, gateway.handle_values)
+            (link, tmtc.gateway.handle_values)
         ]
-        #: Turns what an application is asked for into a request to its process; None: not its.
-        self._request: Callable[[FunctionAsked, int], object | None]
         self._commands: TopicWriter[Any]
-        if segment is Segment.SPACE:
-            joystick = JoystickSource(self.end, first_number=now_ns)
-            self._request = joystick.handle_asked
+        if (joystick := tmtc.joystick) is not None:
             self._commands = TopicWriter(bus, JOYSTICK_COMMAND_TOPIC, wake=True)
             states = TopicReader(bus, JOYSTICK_STATE_TOPIC, depth=_STATES)
             self._topics.append((states, joystick.handle_status))
-        else:
-            robot = RobotSource(self.end, first_number=now_ns)
-            self._request = lambda asked, _: robot.handle_asked(asked)
+        elif (robot := tmtc.robot) is not None:
             self._commands = TopicWriter(bus, ROBOT_COMMAND_TOPIC, wake=True)
             self._topics.append((TopicReader(bus, ROBOT_TOPIC), robot.handle_state))
             statuses = TopicReader(bus, ROBOT_STATUS_TOPIC, depth=_STATES)
             self._topics.append((statuses, robot.handle_status))
         make_session_root(context.session)
-        write_dictionary(context.session, dictionary)
-        self._requests = TmtcSocket(context.session, segment)
+        write_dictionary(context.session, tmtc.dictionary)
+        self._now_ns = now_ns
+        #: Wait for it, too.
+        self.requests = RequestServer(
+            context,
+            tmtc_socket_name(segment),
+            TmtcRequest,
+            lambda request, _: self.end.handle_request(request, self._now_ns),
+            most_octets=MAX_REQUEST_OCTETS,
+        )
         context.on_flush(lambda: self.end.publish(context.probe))
-
-    @property
-    def socket(self) -> socket:
-        """What to wait for besides time: requests."""
-        return self._requests.socket
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
         """A datagram of the flow; False if it is not one of PUS. Call `work` afterwards."""
@@ -144,40 +145,33 @@ class TmtcServer:
 
     def work(self, now_ns: int) -> None:
         """Take requests and parameters over, send packets, publish news."""
-        end = self.end
+        end, tmtc = self.end, self._tmtc
         for reader, take in self._topics:
             while (sample := reader.next()) is not None:
                 take(sample, now_ns)
-        while (request := self._requests.receive()) is not None:
-            end.handle_octets(request, now_ns)
+        self._now_ns = now_ns
+        self.requests.serve()
         while (told := self._context.receive_metrics()) is not None:
-            self._supervisor.handle_told(_STATES_TOLD.decode(told), now_ns)
-        while (done := self._supervisor.next_event()) is not None:
-            end.handle_request(done, now_ns)
+            tmtc.handle_processes(_STATES_TOLD.decode(told), now_ns)
         while (packet := end.poll_transmit(now_ns)) is not None:
             self._send(packet)
             self._packets.publish(packet, "sent", now_ns)
         while (packet := end.next_local()) is not None:
             self._packets.publish(packet, "local", now_ns)
-        while (news := end.next_event()) is not None:
+        while (event := tmtc.next_event(now_ns)) is not None:
+            news, command = event
             if isinstance(news, FunctionAsked):
                 self._ask(news)
-                self._supervisor.handle_asked(news)
-                while (order := self._supervisor.poll_transmit()) is not None:
-                    self._context.order(order, now_ns)
-                asked = self._request(news, now_ns)
-                if asked is not None:
-                    self._commands.publish(asked, now_ns)
+            if command is not None:
+                self._commands.publish(command, now_ns)
             self._news.publish(news, now_ns)
+        while (order := tmtc.poll_order()) is not None:
+            self._context.order(order, now_ns)
 
     def wait_ns(self, now_ns: int, most_ns: int) -> int:
         """How long nothing has to be done without a request or a packet, at most `most_ns`."""
         due_ns = self.end.poll_timeout(now_ns)
         return most_ns if due_ns is None else min(most_ns, max(0, due_ns - now_ns))
-
-    def close(self) -> None:
-        """Take no more requests."""
-        self._requests.close()
 
 
 def run_selector(context: Context) -> None:
@@ -201,7 +195,7 @@ def run_selector(context: Context) -> None:
         newest_request = -1
         asked: deque[FunctionAsked] = deque()
         service = TmtcServer(context, bus, Segment.GROUND, to_gateway, asked.append)
-        waiter = bus.waiter([followed.open()], [udp.fileno(), service.socket.fileno()])
+        waiter = bus.waiter([followed.open()], [udp.fileno(), service.requests.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -226,7 +220,7 @@ def run_selector(context: Context) -> None:
             wait_ns = 0 if asked else min(TIMEOUT_NS, choice.poll_timeout() - now_ns)
             waiter.wait(service.wait_ns(now_ns, max(0, wait_ns)))
         del waiter
-        service.close()
+        service.requests.close()
 
 
 def run_console(context: Context) -> None:
@@ -239,7 +233,7 @@ def run_console(context: Context) -> None:
         if context.setup.hand != "direct":
             walls = TopicWriter(bus, WALL_TOPIC)
         service = TmtcServer(context, bus, Segment.SPACE, to_gateway)
-        waiter = bus.waiter([], [udp.fileno(), service.socket.fileno()])
+        waiter = bus.waiter([], [udp.fileno(), service.requests.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -252,7 +246,7 @@ def run_console(context: Context) -> None:
             service.work(now_ns)
             waiter.wait(service.wait_ns(now_ns, TIMEOUT_NS))
         del waiter
-        service.close()
+        service.requests.close()
 
 
 _DEPTH = 32

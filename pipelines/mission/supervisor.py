@@ -233,6 +233,12 @@ class ProcessSupervisor:
         self._requests.extend(RaiseEvent(self._name, event) for event in events)
         self._complete()
 
+    def handle_refused(self, process: str, reason: str) -> None:
+        """The launcher does not stop or start a process."""
+        for asked in [one for one in self._open if one.arguments == (process,)]:
+            self._open.remove(asked)
+            self._requests.append(FunctionDone(self._name, asked.token, reason))
+
     def poll_transmit(self) -> ProcessOrder | None:
         return self._orders.popleft() if self._orders else None
 

@@ -24,7 +24,6 @@ from pipelines.mission.tmtc_messages import (
     Values,
     k2aci_message,
     plain_fields,
-    unpack_request,
 )
 from pipelines.session.probe import Probe
 from pipelines.session.setup.segments import Segment
@@ -69,8 +68,8 @@ class TmtcEnd:
     """The applications of a segment, and the user that commands those of both segments. A core.
 
     Hand packets of the radio to `handle_packet`, and what processes of this segment ask for to
-    `handle_request` or `handle_octets`. After each input send the packets of `poll_transmit` until
-    None, then publish `next_event` until None. Do both again at `poll_timeout`.
+    `handle_request`. After each input send the packets of `poll_transmit` until None, then publish
+    `next_event` until None. Do both again at `poll_timeout`.
 
     A function that nobody has carried out after 10 s counts as failed. At most 256 news wait;
     beyond that the oldest are dropped and counted.
@@ -133,17 +132,6 @@ class TmtcEnd:
             return False
         self._node.handle_packet(octets, now_ns)
         return True
-
-    def handle_octets(self, octets: bytes, now_ns: int) -> None:
-        """A datagram of a process of this segment. Garbage is counted; this never raises."""
-        request = unpack_request(octets)
-        if request is None:
-            self._garbage += 1
-            return
-        try:
-            self.handle_request(request, now_ns)
-        except ConfigError:
-            self._garbage += 1
 
     def handle_request(self, request: TmtcRequest, now_ns: int) -> None:
         """What a process of this segment asks for.

@@ -1,13 +1,7 @@
-"""The Unix datagram socket on which processes of a segment ask its TM/TC end.
+"""How processes of a segment ask its TM/TC end."""
 
-It is in the session's directory, which only its user may enter.
-"""
-
-import os
-import socket
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import msgspec
 
@@ -16,7 +10,6 @@ from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import replace_file, session_root
 from pipelines.mission.tmtc_messages import (
-    MAX_REQUEST_OCTETS,
     TMTC_TOPICS,
     CommandUpdate,
     FunctionAsked,
@@ -34,6 +27,7 @@ from pipelines.mission.tmtc_messages import (
     pack_request,
     plain_fields,
 )
+from pipelines.session.requests import post
 from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import Segment
 from telepresence.tmtc.k2aci import K2aciMessage
@@ -46,10 +40,6 @@ _DICTIONARY = "dictionary.json"
 
 def tmtc_socket_name(segment: Segment) -> str:
     return f"tmtc.{segment.value}"
-
-
-def tmtc_path(session: str, segment: Segment) -> Path:
-    return session_root(session) / tmtc_socket_name(segment)
 
 
 def write_dictionary(session: str, dictionary: Dictionary) -> None:
@@ -75,37 +65,7 @@ def send_to_tmtc(session: str, segment: Segment, request: TmtcRequest) -> bool:
     Returns False if nobody takes it now; try again later. ConfigError for a request that is too
     long. What becomes of it comes on the topic `TMTC_TOPICS[segment]`.
     """
-    octets = pack_request(request)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
-        link.setblocking(False)
-        try:
-            link.sendto(octets, os.fspath(tmtc_path(session, segment)))
-        except OSError:
-            return False
-    return True
-
-
-class TmtcSocket:
-    """The listening end; the directory of the session exists. socket: what to wait for."""
-
-    def __init__(self, session: str, segment: Segment) -> None:
-        self._path = tmtc_path(session, segment)
-        self._path.unlink(missing_ok=True)  # of a process that was killed
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.socket.setblocking(False)
-        self.socket.bind(os.fspath(self._path))
-
-    def receive(self) -> bytes | None:
-        """Return the next request, or None. A longer one than allowed has one octet too many."""
-        try:
-            return self.socket.recv(MAX_REQUEST_OCTETS + 1)
-        except BlockingIOError:
-            return None
-
-    def close(self) -> None:
-        """Take no more requests."""
-        self._path.unlink(missing_ok=True)
-        self.socket.close()
+    return post(session, tmtc_socket_name(segment), pack_request(request))
 
 
 _DEPTH = 32

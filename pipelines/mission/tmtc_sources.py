@@ -110,7 +110,7 @@ class RobotSource:
         }
         self._end.handle_values("robot", values, now_ns)
 
-    def handle_asked(self, asked: FunctionAsked) -> RobotCommand | None:
+    def handle_asked(self, asked: FunctionAsked, _now_ns: int) -> RobotCommand | None:
         """Return the command for the robot, or None, if it is for another part."""
         if asked.application != "robot" or asked.function not in self._functions:
             return None

@@ -1,7 +1,7 @@
-"""The process that records the session: topics in, files out, and a Unix socket for requests.
+"""The process that records the session: topics in, files out, and a socket for requests.
 
-`Recorder` decides what is written, `RecorderRequests` what is answered. This module has topics, the
-files and the sleep. While nothing is recorded, it reads no topic.
+`Recorder` decides what is written, `RecorderRequests` what is carried out. This module has topics,
+the files and the sleep. While nothing is recorded, it reads no topic.
 
 What is being recorded is also in a file of the session's directory. So a recorder that was killed
 goes on, in a new part.
@@ -26,19 +26,22 @@ from pipelines.recording.metadata import RecordingMetadata
 from pipelines.recording.recorded_messages import RecordedEvent
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
 from pipelines.recording.recorder_metrics import RecorderMetrics
-from pipelines.recording.recorder_requests import Ask, RecorderRequests, Start, Stop
+from pipelines.recording.recorder_requests import RecorderRequests
 from pipelines.session.process import TIMEOUT_NS, Context
-from pipelines.session.session_metrics import SessionEvents, gathered
-from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.terminal_lines import RecordAnswer, RecordingOptions, Reply
-from pipelines.session.terminals import (
+from pipelines.session.recording_requests import (
     RECORDER_SOCKET,
-    TerminalSockets,
+    RecordAnswer,
+    RecordingOptions,
+    RecordRequest,
+    StartRecording,
+    StopRecording,
     read_request,
     remove_request,
-    request_socket,
     write_request,
 )
+from pipelines.session.requests import RequestServer
+from pipelines.session.session_metrics import SessionEvents, gathered
+from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import TopicReader
 
 #: How often topics are read.
@@ -59,11 +62,11 @@ def run_recorder(context: Context) -> None:
 
 
 class _RecorderProcess:
-    """The desk with its sockets, and the present recording."""
+    """The requests, and the present recording."""
 
     def __init__(self, context: Context) -> None:
         self._context, self._now_ns = context, context.clock.now_ns
-        self._service = RecorderRequests(read_request(context.session), self._now_ns())
+        self._requests = RecorderRequests(read_request(context.session), self._now_ns())
         self._recording: _Recording | None = None
         # Before anything is recorded, so that the codecs are loaded then.
         self._maker = KeyPictureMaker()
@@ -73,21 +76,27 @@ class _RecorderProcess:
 
     def run(self) -> None:
         context, now_ns = self._context, self._now_ns
-        if self._service.options is not None:
-            self._recording = _Recording(context, self._service.options, self._maker)
+        if self._requests.options is not None:
+            self._recording = _Recording(context, self._requests.options, self._maker)
             # The launcher waits for it.
             context.flush(now_ns())
-        terminals = TerminalSockets(request_socket(context.session, RECORDER_SOCKET))
-        while not context.stopping:
-            wait_ns = TIMEOUT_NS if self._recording is None else _WAKE_NS
-            self._serve(terminals, wait_ns)
-            context.tick(now_ns())
-            while (told := context.receive_metrics()) is not None:
+        with RequestServer(
+            context,
+            RECORDER_SOCKET,
+            RecordRequest,
+            self._handle,
+            closed=lambda terminal: self._requests.handle_closed(terminal, now_ns()),
+        ) as server:
+            while not context.stopping:
+                server.serve(TIMEOUT_NS if self._recording is None else _WAKE_NS)
+                if self._requests.poll_abandoned(now_ns()):
+                    self._stop()
+                context.tick(now_ns())
+                while (told := context.receive_metrics()) is not None:
+                    if self._recording is not None:
+                        self._recording.handle_events(told)
                 if self._recording is not None:
-                    self._recording.handle_events(told)
-            if self._recording is not None:
-                self._recording.handle_wake()
-        terminals.close()
+                    self._recording.handle_wake()
         if self._recording is not None:
             end_ns = now_ns() + _DRAIN_NS
             while now_ns() < end_ns:
@@ -96,41 +105,33 @@ class _RecorderProcess:
             self._end()
         self._maker.close()
 
-    def _serve(self, terminals: TerminalSockets, wait_ns: int) -> None:
-        service = self._service
-        terminals.exchange(service, wait_ns, self._now_ns)
-        service.handle_time(self._now_ns())
-        while (event := service.next_event()) is not None:
-            match event:
-                case Reply():
-                    terminals.send(event.terminal, event.octets, last=event.last)
-                case Start():
-                    service.handle_started(event, self._start(event))
-                case Stop():
-                    self._end()
-                    remove_request(self._context.session)
-                    service.handle_stopped(event, self._answer())
-                case Ask():
-                    service.handle_state(event, self._answer())
+    def _handle(self, request: RecordRequest, terminal: int) -> RecordAnswer:
+        if isinstance(request, StartRecording):
+            if self._requests.handle_start(request, terminal):
+                self._start(request)
+                self._requests.handle_started(request.options, terminal)
+        elif isinstance(request, StopRecording):
+            self._stop()
+        return self._answer()
 
-    def _start(self, start: Start) -> str:
-        """Begin to record; why that is not possible, or ""."""
+    def _start(self, start: StartRecording) -> None:
+        """Begin to record; ConfigError if that is not possible."""
         path = Path(start.options.file)
+        part_files.check_recordable(
+            path, overwrite=start.overwrite, sources=self._context.setup.sources.values()
+        )
         try:
-            part_files.check_recordable(
-                path,
-                overwrite=start.overwrite,
-                sources=self._context.setup.sources.values(),
-            )
             part_files.check_disk(path, self._context.setup, part_files.LEAST_RECORDED_S)
             part_files.clear_parts(path)
             write_request(self._context.session, start.options)
-        except ConfigError as error:
-            return str(error)
         except OSError as error:
-            return f"{path} cannot be written: {error.strerror}"
+            raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
         self._recording = _Recording(self._context, start.options, self._maker)
-        return ""
+
+    def _stop(self) -> None:
+        self._requests.handle_stop()
+        self._end()
+        remove_request(self._context.session)
 
     def _end(self) -> None:
         if self._recording is not None:
@@ -142,7 +143,6 @@ class _RecorderProcess:
         recording = self._recording
         counters = self._newest if recording is None else recording.metrics
         return RecordAnswer(
-            ok=True,
             file="" if recording is None else str(recording.file),
             files=counters.parts,
             messages=counters.messages,

@@ -15,9 +15,9 @@ from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.fit import Fitter, scaled_aspect
 from pipelines.hand.haptic_loop import new_boot_id, run_loop, session_ports
 from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
-from pipelines.media.coded_topics import SentTopic
-from pipelines.media.gain import LinkedVideoSender, gain_of
-from pipelines.media.stream_metrics import publish_sender, to_gateway, video_sender, voice_sender
+from pipelines.media.media_metrics import CodingCosts
+from pipelines.media.process_send import VideoOutlet, to_gateway
+from pipelines.media.stream_metrics import Outgoing, publish_sender, voice_sender
 from pipelines.media.taking_over import Capturing
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import session_dictionary
@@ -28,14 +28,13 @@ from pipelines.recording.recorded_session import RecordedSession, SentPacket, Se
 from pipelines.recording.recorder_metrics import ReplayMetrics
 from pipelines.recording.rows import Script, replay_topology
 from pipelines.session.datagrams import receive
-from pipelines.session.process import TIMEOUT_NS, Context
+from pipelines.session.process import Context, wait_ns
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
-#: From capture to encoder, and to sender: the medians of live sessions, as in a simulation.
-_CAPTURE_NS, _PICTURE_NS, _SOUND_NS = 4 * NS_PER_MS, 10 * NS_PER_MS, BLOCK_NS + 1_700_000
+#: From capture to encoder, and to sender: as in a simulation.
+_COSTS = CodingCosts()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,46 +71,30 @@ class ReplayStart:
         return script
 
 
-def _wait_ns(now_ns: int, *dues_ns: int | None) -> int:
-    waits_ns = [due_ns - now_ns for due_ns in dues_ns if due_ns is not None]
-    return max(0, min([TIMEOUT_NS, *waits_ns]))
-
-
 def run_video_replay(
     context: Context, *, stream: VideoStream, units: Sequence[SentUnit], start: ReplayStart
 ) -> None:
     """Send the recorded access units of a stream."""
-    clock, row = context.clock, context.topology.video(stream.name)
-    identity = RtpIdentity.draw(secrets.randbits)
-    sender = video_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
-    linked = LinkedVideoSender(sender, gain_of(context.setup, stream))
-    outgoing = to_gateway(context, stream, sender)
-    feedback = context.listen_media(context.topology.exit_port(row.feedback))
-    context.on_flush(lambda: publish_sender(context.probe, sender, linked.gain))
-    script = start.script(context, units, _PICTURE_NS)
+    clock = context.clock
+    cost_ns = _COSTS.ns("capture") + _COSTS.picture_ns("encode", stream.codec)
+    script = start.script(context, units, cost_ns)
     with context.open_bus() as bus:
-        sent, backlogs = (
-            SentTopic(bus, row.name, row.sent_topic),
-            TopicReader(bus, row.backlog_topic),
-        )
-        waiter = bus.waiter([backlogs.open()], [feedback.fileno()])
+        outlet = VideoOutlet(context, bus, stream)
+        end = outlet.end
+        waiter = bus.waiter([outlet.backlogs.open()], [outlet.feedback.fileno()])
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
-            waiter.wait(_wait_ns(now_ns, script.poll_timeout(), sender.poll_timeout()))
-            if (backlog := backlogs.latest()) is not None:
-                linked.handle_backlog(backlog, backlogs.newest_ns, clock.now_ns())
-            while (datagram := receive(feedback)) is not None:
-                sender.handle_feedback(datagram, clock.now_ns())
+            waiter.wait(wait_ns(now_ns, script.poll_timeout(), end.poll_timeout(now_ns)))
             while (due := script.poll_due(clock.now_ns())) is not None:
                 number, capture_ns = due
                 stamp = CaptureStamp(capture_ns, number, stream.name)
-                came = units[number]
-                unit = AccessUnit(came.data, stamp, came.key, came.codec)
-                sender.handle_coded(unit, clock.now_ns())
-                sent.handle_unit(unit, stream.coded_size)
-            outgoing.handle_time(clock.now_ns())
-        outgoing.close(clock.now_ns())
+                recorded = units[number]
+                unit = AccessUnit(recorded.data, stamp, recorded.key, recorded.codec)
+                end.handle_coded(unit, clock.now_ns())
+                outlet.sent.handle_unit(unit, stream.coded_size)
+            outlet.work()
+        end.close(clock.now_ns())
         del waiter
 
 
@@ -128,7 +111,7 @@ def run_recoded_camera(
     decoder = VideoDecoder(units[0].codec if units else "h264")
     fitter, capturing = Fitter(*size), Capturing(context.probe)
     context.on_flush(capturing.publish)
-    script = start.script(context, units, _CAPTURE_NS)
+    script = start.script(context, units, _COSTS.ns("capture"))
     with context.open_bus() as bus:
         writer = bus.writer(
             context.topology.input(name).topic, max_octets=stream.width * stream.height * 3 // 2
@@ -136,7 +119,7 @@ def run_recoded_camera(
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
-            clock.sleep_until_ns(now_ns + _wait_ns(now_ns, script.poll_timeout()))
+            clock.sleep_until_ns(now_ns + wait_ns(now_ns, script.poll_timeout()))
             while (due := script.poll_due(clock.now_ns())) is not None:
                 number, capture_ns = due
                 stamp = CaptureStamp(capture_ns, number, name)
@@ -156,14 +139,13 @@ def run_voice_replay(
     clock = context.clock
     identity = RtpIdentity.draw(secrets.randbits)
     sender = voice_sender(context.setup, stream, identity, wall_offset_ns=clock.wall_offset_ns)
-    outgoing = to_gateway(context, stream, sender)
+    outgoing = Outgoing(sender, context.probe, *to_gateway(context, stream.name))
     context.on_flush(lambda: publish_sender(context.probe, sender))
-    script = start.script(context, units, _SOUND_NS)
+    script = start.script(context, units, BLOCK_NS + _COSTS.ns("voice_encode"))
     while not context.stopping:
         now_ns = clock.now_ns()
         context.tick(now_ns)
-        wait_ns = _wait_ns(now_ns, script.poll_timeout(), sender.poll_timeout())
-        clock.sleep_until_ns(now_ns + wait_ns)
+        clock.sleep_until_ns(now_ns + wait_ns(now_ns, script.poll_timeout(), sender.poll_timeout()))
         while (due := script.poll_due(clock.now_ns())) is not None:
             number, capture_ns = due
             stamp = CaptureStamp(capture_ns, number, stream.name)
@@ -243,7 +225,7 @@ def _run_packets(
     while not context.stopping:
         now_ns = clock.now_ns()
         context.tick(now_ns)
-        select.select([udp], [], [], _wait_ns(now_ns, script.poll_timeout()) / NS_PER_S)
+        select.select([udp], [], [], wait_ns(now_ns, script.poll_timeout()) / NS_PER_S)
         while (due := script.poll_due(clock.now_ns())) is not None:
             send(packets[due[0]].data)
         while (datagram := receive(udp)) is not None:

@@ -32,8 +32,8 @@ from pipelines.recording.own_pictures import (
 from pipelines.recording.recorded_messages import ChannelLoss, RecordedEvent, RecorderLosses, pack
 from pipelines.recording.recorder_metrics import RecordedChannel, RecorderMetrics
 from pipelines.recording.session_messages import ChannelMessage, Figure, Instants, SessionMessages
+from pipelines.session.recording_requests import PartLimits
 from pipelines.session.session_metrics import SampleNumbers
-from pipelines.session.terminal_lines import PartLimits
 from pipelines.session.topology import Topology
 
 #: After a fault of the disk, a new part is tried this often.

@@ -14,6 +14,7 @@ from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
+from pipelines.report.warnings import TOO_BUSY
 from pipelines.session.session_metrics import DatedEvent, Event, TrainerMetrics
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.task_journal import KEPT, OPEN
@@ -51,6 +52,7 @@ class EventLog:
         self._restarts: dict[str, int] = {}
         #: By process that does not do its work: why, as it was told.
         self._troubled: dict[str, str] = {}
+        self._too_busy: set[str] = set()
         self._stale: dict[str, bool] = {}
         self._joystick: tuple[str, str] | None = None
         #: Of the robot.
@@ -196,6 +198,10 @@ class EventLog:
                 why = f": {process.error}" if process.error else ""
                 yield now_ns, "process", f"{process.name} was started again{why}"
             self._restarts[process.name] = process.restarts
+            if self._collector.process(process.name).scheduler == "too_busy":
+                if process.name not in self._too_busy:
+                    yield now_ns, "process", f"{process.name} takes {TOO_BUSY}"
+                self._too_busy.add(process.name)
             if process.trouble not in ("", self._troubled.get(process.name)):
                 yield now_ns, "process", f"{process.name}: {process.trouble}"
         self._troubled = {process.name: process.trouble for process in processes}

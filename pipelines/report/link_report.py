@@ -108,7 +108,7 @@ class LinkView:
             f"sends kbit/s {levels}",
         ]
         if unknown_senders:
-            parts.insert(3, f"{unknown_senders} strangers")
+            parts.insert(3, f"{unknown_senders} unknown senders")
         peer = metrics.find(PeerMetrics)
         if peer is not None:
             parts.insert(1, peer_words(peer))
@@ -215,7 +215,7 @@ def end_line(end: str, gateway: model.GatewayReport) -> str:
         counts = ", ".join(
             f"{name} {count}" for name, count in gateway.sockets.unknown_senders.items()
         )
-        line += f"; from strangers: {counts}"
+        line += f"; from unknown senders: {counts}"
     if gateway.sockets.unsent:
         line += f"; {gateway.sockets.unsent} frames not sent"
     return line

@@ -19,10 +19,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 
 import msgspec
 
-from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.decoder import DecoderCounts
-from kontur_av.errors import ConfigError
-from kontur_av.media import VideoCodec
 from kontur_av.metrics import Flat, is_flat
 from kontur_av.rtp.receiver import ReceiverCounts
 from kontur_av.streams.paced_sender import SenderCounts
@@ -30,7 +27,7 @@ from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
-from pipelines.media.media_metrics import DisplayMetrics, GainMetrics
+from pipelines.media.media_metrics import CodingCosts, DisplayMetrics, GainMetrics
 from pipelines.mission.mission_metrics import ComponentMetrics
 from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
@@ -398,7 +395,8 @@ class ProcessReport(Report, frozen=True, kw_only=True):
     restarts: int
     #: The last fault of an input's source.
     source_fault: str | None = None
-    #: `fifo`: with real-time priority; `idle`: behind all others; or `other`.
+    #: `fifo`: with real-time priority; `too_busy`: without, it took more than half a core; `idle`:
+    #: behind all others; or `other`.
     scheduler: str | None = None
     #: Why it last ended unasked.
     last_error: str | None = None
@@ -419,40 +417,6 @@ class Warning(Report, frozen=True, kw_only=True):
     measured: str
     #: What fixes it.
     fix: str
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class CodingCosts:
-    """Durations on virtual time; defaults: medians of live sessions on two cores.
-
-    capture_ms: from the capture of a picture to its arrival at the encoder: drawing, the stereo
-        merge, the selector, and three wake-ups.
-    encode_ms, decode_ms: of one picture, its wake-up included.
-    encode_h265_ms, decode_h265_ms: of HEVC; estimated from H.264's and the codec's extra time.
-    voice_encode_ms, voice_decode_ms: of one block of sound.
-    """
-
-    capture_ms: float = 4.0
-    encode_ms: float = 6.0
-    decode_ms: float = 3.0
-    encode_h265_ms: float = 13.0
-    decode_h265_ms: float = 3.5
-    voice_encode_ms: float = 1.7
-    voice_decode_ms: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            if not 0 <= value <= 1000:
-                option = f"--{name.replace('_', '-')}"
-                raise ConfigError(f"{option} {value:g}: take 0 to 1000 milliseconds")
-
-    def ns(self, name: str) -> int:
-        """Return the duration `name` in ns, at least 1, so that an effect follows its cause."""
-        cost_ms: float = getattr(self, f"{name}_ms")
-        return max(1, round(cost_ms * NS_PER_MS))
-
-    def picture_ns(self, name: str, codec: VideoCodec) -> int:
-        return self.ns(name if codec == "h264" else f"{name}_{codec}")
 
 
 class ReplayedStream(Report, frozen=True, kw_only=True):

@@ -31,6 +31,7 @@ _LEAST_NS = 3 * NS_PER_S
 _LONG_TRIP_NS = 100 * NS_PER_MS
 
 _NO_REAL_TIME = "allow real-time priority: `kontur-av doctor` says how"
+TOO_BUSY = "more than half a core: it goes on without real-time priority"
 _TOO_SLOW = "use fewer cameras, or a faster machine"
 
 
@@ -49,6 +50,15 @@ def find_warnings(
     found = []
     for name, count in restarts.items():
         found += find_loop_warnings(collector, name)
+        if collector.process(name).scheduler == "too_busy":
+            found.append(
+                Warning(
+                    what="priority_given_up",
+                    where=name,
+                    measured=TOO_BUSY,
+                    fix=f"take smaller pictures, {_TOO_SLOW}",
+                )
+            )
         if count:
             last_error = collector.process(name).last_error or ""
             found.append(restart_warning(name, count, last_error))

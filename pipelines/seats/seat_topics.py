@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from kontur_av.errors import ConfigError
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import Lease, TopicBus
@@ -30,19 +31,21 @@ from pipelines.seats.holders import Given
 from pipelines.seats.plan import SeatStream, Shown
 from pipelines.seats.seat import PageRequest, Seat, StopAsked
 from pipelines.seats.texts import FetchRequest, RecordingRequest, Via
-from pipelines.seats.upkeep_watch import ask_process, fetch
+from pipelines.seats.upkeep_watch import fetch
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.process import Context
-from pipelines.session.serving_loop import Feed, ServingLoop
-from pipelines.session.session_switch import Order
-from pipelines.session.terminal_lines import (
-    START,
-    STOP,
+from pipelines.session.recording_requests import (
+    RECORDER_S,
+    RECORDER_SOCKET,
     RecordAnswer,
     RecordingOptions,
     RecordRequest,
+    StartRecording,
+    StopRecording,
 )
-from pipelines.session.terminals import RECORDER_SOCKET
+from pipelines.session.requests import ask_async
+from pipelines.session.serving_loop import Feed, ServingLoop
+from pipelines.session.session_switch import Order
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import Segment
 from pipelines.session.topology.topics import AnyTopic
@@ -374,31 +377,33 @@ class SeatDeeds:
 
     async def _ask(self, asked: PageRequest) -> None:
         session, request = self._context.session, asked.request
-        if isinstance(request, FetchRequest):
-            error = await fetch(session, self._seat.plan.segment, request.inbox)
-        elif isinstance(request, RecordingRequest):
-            error = await ask_recorder(session, begin=request.action == "start")
-        else:
-            options = TrainerRequest(
-                exercise=request.exercise, seconds=request.seconds, camera=request.camera
-            )
-            said = await ask_process(session, TRAINER_SOCKET, options, TrainerAnswer)
-            error = said if isinstance(said, str) else "" if said.ok else said.text
+        error = ""
+        try:
+            if isinstance(request, FetchRequest):
+                await fetch(session, self._seat.plan.segment, request.inbox)
+            elif isinstance(request, RecordingRequest):
+                await ask_recorder(session, begin=request.action == "start")
+            else:
+                options = TrainerRequest(
+                    exercise=request.exercise, seconds=request.seconds, camera=request.camera
+                )
+                await ask_async(session, TRAINER_SOCKET, options, TrainerAnswer)
+        except (ConfigError, OSError) as refused:
+            error = str(refused)
         self._seat.handle_answered(asked, error)
         self._settle()
 
 
-async def ask_recorder(session: str, *, begin: bool) -> str:
-    """Begin or end the recording of `session`; return "", or in words why it does not.
+async def ask_recorder(session: str, *, begin: bool) -> None:
+    """Begin or end the recording of `session`; errors as of `ask_async`.
 
     The file is in the directory in which the session was started. It is called after the session
     and the time, in UTC.
     """
-    request = RecordRequest(record=STOP)
+    request: RecordRequest = StopRecording()
     if begin:
         instant = time.strftime("%Y%m%dT%H%M%SZ", time.gmtime())
         path = Path.cwd() / f"{session}-{instant}.mcap"
         options = RecordingOptions(file=os.fspath(path), command="the page of ground control")
-        request = RecordRequest(record=START, options=options)
-    said = await ask_process(session, RECORDER_SOCKET, request, RecordAnswer)
-    return said if isinstance(said, str) else "" if said.ok else said.error
+        request = StartRecording(options=options)
+    await ask_async(session, RECORDER_SOCKET, request, RecordAnswer, timeout_s=RECORDER_S)

@@ -6,27 +6,24 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final
 
 import msgspec
 
 from kontur_av.clock import NS_PER_S
 from pipelines.seats.seat import Seat
 from pipelines.seats.texts import SoftwareText, TransferText, UpkeepText
+from pipelines.session.requests import ask_async
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminal_lines import (
-    MAX_LINE_OCTETS,
+from pipelines.session.transfer_requests import (
     STATUS,
     FileAnswer,
     FileRequest,
     TransferNow,
-    pack_line,
-    parse_line,
     socket_name,
 )
-from pipelines.session.terminals import request_socket
 from telepresence.files.entity import WAITING
 from telepresence.files.pdus import GET
 from telepresence.malformed import MALFORMED
@@ -64,44 +61,16 @@ class Transfers:
         return found
 
 
-#: A recorder answers once its file is written, which takes long on a slow disk.
-_TIMEOUT_S: Final = 15.0
 _EVERY_NS: Final = NS_PER_S
 #: The folder of fetched files, below the directory of the ground.
 FETCHED: Final = "fetched"
 _MOST_INBOXES: Final = 16
-_Answer = TypeVar("_Answer", bound=msgspec.Struct)
 
 
-async def ask_process(
-    session: str, service: str, request: msgspec.Struct, answer: type[_Answer]
-) -> _Answer | str:
-    """Return the answer of a session's process to a request, or in words why there is none.
-
-    service: the name of its socket. answer: the type.
-    """
-    try:
-        reader, writer = await asyncio.open_unix_connection(
-            os.fspath(request_socket(session, service)), limit=MAX_LINE_OCTETS
-        )
-    except OSError:
-        return f"the session's {service} is not running"
-    try:
-        writer.write(pack_line(request))
-        async with asyncio.timeout(_TIMEOUT_S):
-            said = parse_line(await reader.readline(), answer)
-    except (OSError, ValueError, TimeoutError):
-        said = None
-    finally:
-        writer.close()
-    return f"the session's {service} has ended before it answered" if said is None else said
-
-
-async def fetch(session: str, segment: Segment, inbox: str) -> str:
-    """Begin to fetch the status of a keeper at the other end; return "", or why that fails."""
-    asked = FileRequest(file=GET, first=f"{inbox}/{TOLD}", second=f"{FETCHED}/{inbox}/{TOLD}")
-    said = await ask_process(session, socket_name(segment), asked, FileAnswer)
-    return said if isinstance(said, str) else "" if said.ok else said.text
+async def fetch(session: str, segment: Segment, inbox: str) -> None:
+    """Begin to fetch the status of a keeper at the other end; errors as of `ask_async`."""
+    request = FileRequest(file=GET, first=f"{inbox}/{TOLD}", second=f"{FETCHED}/{inbox}/{TOLD}")
+    await ask_async(session, socket_name(segment), request, FileAnswer)
 
 
 def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:
@@ -156,9 +125,10 @@ class UpkeepWatch:
     async def _ask(self) -> None:
         transfers: list[TransferText] = []
         for segment in self._directories:
-            asked = FileRequest(file=STATUS)
-            said = await ask_process(self._session, socket_name(segment), asked, FileAnswer)
-            listed = () if isinstance(said, str) else said.transfers
+            listed: tuple[TransferNow, ...] = ()
+            with suppress(OSError):
+                name, request = socket_name(segment), FileRequest(file=STATUS)
+                listed = (await ask_async(self._session, name, request, FileAnswer)).transfers
             transfers += self._transfers.handle_list(segment, listed, self._now_ns())
         # A slow disk must not hold up what other pages are sent.
         software = await asyncio.to_thread(lambda: tuple(self._software()))

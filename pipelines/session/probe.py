@@ -63,8 +63,8 @@ class Message:
     metrics: records of what was counted, one of each kind; of each stream for those that are about
         streams.
     series: single events, such as packets, in the order in which their series were begun.
-    scheduler: `fifo` with real-time priority, `other` without the permission for it; "" for a
-        process that asks for none.
+    scheduler: `fifo` with real-time priority, `other` without the permission for it, `too_busy` if
+        it gave it up because it took more than half a core; "" for a process that asks for none.
     last_error: why the process ends; "" while it runs.
     orders: what ground control ordered on a page, and telecommands of processes, oldest first.
     """

@@ -5,19 +5,27 @@ import gc
 import os
 import signal
 import socket
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kontur_av.clock import NS_PER_MS, MonotonicClock
+from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from pipelines.session import datagrams
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Probe
 from pipelines.session.session_switch import Order, ProcessOrder
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import LOOP_PRIORITY, WATCHER_PRIORITY, ProcessRow, Topology
+from pipelines.session.topology import (
+    LOOP_PRIORITY,
+    PICTURE_PRIORITY,
+    WATCHER_PRIORITY,
+    ProcessRow,
+    Topology,
+)
 
 if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
@@ -25,8 +33,18 @@ if TYPE_CHECKING:
 #: The longest sleep of a process before it checks whether to end.
 TIMEOUT_NS = 100 * NS_PER_MS
 
+
+def wait_ns(now_ns: int, *dues_ns: int | None) -> int:
+    """Return how long to sleep until the first of these instants, at most `TIMEOUT_NS`."""
+    waits_ns = [due_ns - now_ns for due_ns in dues_ns if due_ns is not None]
+    return max(0, min([TIMEOUT_NS, *waits_ns]))
+
+
 #: Collect garbage once in this many flushes, twice a minute. It takes 0.1 to 0.3 ms, for pages 3.
 _COLLECT_EVERY = 60
+
+#: Real-time priority is judged over this time.
+_SHARE_NS = 2 * NS_PER_S
 
 #: The longest message of the launcher to a process.
 MAX_METRICS_OCTETS = 1 << 20
@@ -178,6 +196,8 @@ def become(row: ProcessRow, context: Context) -> None:
         context.probe.message.scheduler = "idle"
     elif row.priority:
         context.probe.message.scheduler = take_realtime(row.priority)
+        if row.priority == PICTURE_PRIORITY and context.probe.message.scheduler == "fifo":
+            context.on_flush(partial(_judge_share, context, RealtimeShare()))
     context.on_flush(Collections().handle_flush)
 
 
@@ -192,6 +212,36 @@ class Collections:
         self._flushes += 1
         if self._flushes % _COLLECT_EVERY == 0:
             gc.collect()
+
+
+class RealtimeShare:
+    """Whether a process keeps its real-time priority: not if it takes more than half a core.
+
+    Above pages and the rest of the system it would leave them nothing. `kept` stays False.
+    """
+
+    def __init__(self) -> None:
+        self.kept = True
+        self._since: tuple[int, int] | None = None
+
+    def handle_time(self, now_ns: int, cpu_ns: int) -> None:
+        """Call it about twice a second, with the CPU time of the process so far."""
+        since_ns, before_ns = self._since or (now_ns, cpu_ns)
+        if now_ns - since_ns >= _SHARE_NS:
+            self.kept = self.kept and 2 * (cpu_ns - before_ns) <= now_ns - since_ns
+            since_ns, before_ns = now_ns, cpu_ns
+        self._since = since_ns, before_ns
+
+
+def _judge_share(context: Context, share: RealtimeShare) -> None:
+    if not share.kept:
+        return
+    share.handle_time(context.clock.now_ns(), time.process_time_ns())
+    if not share.kept:
+        for thread in Path("/proc/self/task").iterdir():
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
+        context.probe.message.scheduler = "too_busy"
 
 
 def take_realtime(priority: int) -> str:

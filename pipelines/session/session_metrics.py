@@ -25,6 +25,14 @@ class ProbeMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RequestMetrics:
+    """What other processes and terminals asked a process."""
+
+    #: Requests that were refused, and messages that were none.
+    requests_refused: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LoopMetrics:
     """A periodic loop."""
 

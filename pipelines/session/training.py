@@ -1,8 +1,5 @@
 """A trainer's exercises: a loss of signal, faults, a lost camera, failed tasks. A core.
 
-Requests of terminals are lines of JSON, such as `{"exercise": "los", "seconds": 20}`. The answer is
-`{"ok": true, "text": "..."}` or `{"ok": false, "text": "..."}`.
-
 An exercise lasts until an instant of the session's clock. All of them are in one sample of a topic,
 so a process that is started again finds those that still last.
 """
@@ -16,14 +13,14 @@ from typing import Final
 import msgspec
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import DatedEvent, TrainerMetrics
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VideoStream
-from pipelines.session.terminal_lines import LineServer
 from pipelines.session.topology import Topic, Topology
 
-#: The name of the trainer's Unix socket.
+#: The name of the trainer's socket.
 TRAINER_SOCKET = "trainer"
 LOS, JOYSTICK, ROBOT = "los", "joystick-error", "robot-fault"
 TASK, CAMERA, END = "task-failed", "camera-lost", "end"
@@ -70,12 +67,10 @@ class TrainerRequest(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tr
     camera: str = ""
 
 
-class TrainerAnswer(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """ok: it is done; else text says why not. mistake: the request itself was wrong."""
+class TrainerAnswer(msgspec.Struct, frozen=True, tag=True):
+    """It is done. text: what."""
 
-    ok: bool
     text: str
-    mistake: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -126,32 +121,20 @@ class TrainerReach:
 class Trainer:
     """Turns requests into `exercises`. reach: what is here.
 
-    service: takes the requests. exercises: what lasts at present; a new object after each change.
+    exercises: what lasts at present; a new object after each change.
     """
 
     def __init__(self, probe: Probe, reach: TrainerReach) -> None:
         self.exercises = Exercises()
         self._probe, self._reach = probe, reach
-        self.service = LineServer(TrainerRequest, self._answer)
         self._events: deque[DatedEvent] = deque(maxlen=_DEPTH)
         self._published = self.exercises
         self._due_ns = 0
 
-    def poll_exercises(self, now_ns: int) -> Exercises | None:
-        """Return what to publish now, or None: each change, and again for processes that began."""
-        if self.exercises is self._published and now_ns < self._due_ns:
-            return None
-        self._published, self._due_ns = self.exercises, now_ns + _REPEAT_NS
-        return self.exercises
-
-    def publish(self) -> None:
-        """Put what was done into the probe."""
-        self._probe.publish(TrainerMetrics(exercises=tuple(self._events)))
-
-    def _answer(self, request: TrainerRequest, now_ns: int) -> TrainerAnswer:
-        wrong = self._mistake(request)
-        if wrong:
-            return TrainerAnswer(ok=False, text=wrong, mistake=True)
+    def handle_request(self, request: TrainerRequest, now_ns: int) -> TrainerAnswer:
+        """Begin an exercise, or end all; ConfigError for what cannot be."""
+        if wrong := self._mistake(request):
+            raise ConfigError(wrong)
         until_ns = now_ns + round(request.seconds * NS_PER_S)
         if request.exercise == END:
             self.exercises, text = Exercises(), "all exercises ended"
@@ -171,7 +154,18 @@ class Trainer:
             self.exercises = msgspec.structs.replace(self.exercises, **{field: value})
             text = f"{words} for {request.seconds:g} s"
         self._events.append(DatedEvent(at_ns=now_ns, what=text))
-        return TrainerAnswer(ok=True, text=text)
+        return TrainerAnswer(text)
+
+    def poll_exercises(self, now_ns: int) -> Exercises | None:
+        """Return what to publish now, or None: each change, and again for processes that began."""
+        if self.exercises is self._published and now_ns < self._due_ns:
+            return None
+        self._published, self._due_ns = self.exercises, now_ns + _REPEAT_NS
+        return self.exercises
+
+    def publish(self) -> None:
+        """Put what was done into the probe."""
+        self._probe.publish(TrainerMetrics(exercises=tuple(self._events)))
 
     def _mistake(self, request: TrainerRequest) -> str:
         """Why a request cannot be, in one line; "" if it can."""

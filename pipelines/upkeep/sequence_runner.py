@@ -20,8 +20,8 @@ from pipelines.link.link_metrics import link_state_topic
 from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.kept_files import Note, add_note, read_now
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC
+from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.terminals import running_sessions
 from pipelines.session.topic_ends import TopicReader
 from pipelines.upkeep.sequence import (
     CONTACT,

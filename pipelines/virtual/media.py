@@ -11,11 +11,9 @@ from kontur_av.sources import BLOCK_NS
 from kontur_av.sources.instants import Pace
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.sources.stereo import StereoPairer
-from kontur_av.streams.video_sender import VideoSender
-from pipelines.media.following import CameraFollower, Choice, tip_region
+from pipelines.media.following import Choice
 from pipelines.media.media_metrics import StereoMetrics
 from pipelines.media.showing import OPERATORS, Showing
-from pipelines.media.stream_metrics import video_sender
 from pipelines.media.taking_over import Capturing
 from pipelines.session.setup.sources import check_sources
 from pipelines.session.setup.table import (
@@ -30,15 +28,15 @@ from pipelines.session.setup.table import (
     VoiceStream,
 )
 from pipelines.virtual.streams import (
+    Consumer,
     Display,
-    VideoProcess,
     VideoReceiveProcess,
     VideoSendProcess,
     VoiceReceiveProcess,
     VoiceSendProcess,
 )
 from pipelines.virtual.studio import Paired, Picture, Shot, VideoDecoding, VideoStudio, VoiceStudio
-from pipelines.virtual.workers import WALL_OFFSET_NS, Coder, Job, Scene, Worker
+from pipelines.virtual.workers import Coder, Job, Scene, Worker
 from telepresence.link.gateway import Backlog
 from telepresence.world import WorldState
 
@@ -161,29 +159,26 @@ class Microphone(_Input):
         show: Callable[[CaptureStamp, Job, int], None],
     ) -> None:
         self._studio, self._show = studio, show
-        #: The next block without a new click in it, and the newest click so far.
-        self._expected: tuple[Job | None, int | None] = None, None
         pace = Pace(VOICE_PACKETS_PER_S, scene.start_ns, timeout=2)
         super().__init__(scene, name, film, pace, self._hear, block_ns=BLOCK_NS)
 
     def _hear(self, stamp: CaptureStamp, state: WorldState | None, now_ns: int) -> None:
-        if state is None:
-            self._show(stamp, self._studio.submit(stamp.sequence), now_ns)
-            return
-        job, click_ns = self._expected
-        if job is None or state.click_ns != click_ns:
-            job = self._studio.submit((now_ns, state, False))
-        # Few blocks have a click. So the next one is encoded while virtual time goes on.
-        expected = self._studio.submit((now_ns + BLOCK_NS, state, True))
-        self._expected = expected, state.click_ns
-        self._show(stamp, job, now_ns)
+        job = stamp.sequence if state is None else (now_ns, state)
+        self._show(stamp, self._studio.submit(job), now_ns)
 
 
 class Stereo:
     """Pairs the pictures of the two cameras. Drawing comes later, when a pair is encoded."""
 
-    def __init__(self, scene: Scene, fps: int, show: ShowPicture) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        fps: int,
+        show: ShowPicture,
+        on_halves: Sequence[Callable[[int], None]] = (),
+    ) -> None:
         self._pairer = StereoPairer(period_ns=NS_PER_S // fps)
+        self._on_halves = on_halves
         self._agenda, self._show = scene.agenda, show
         merged = scene.topology.topic(scene.topology.camera(STEREO).topic)
         self._probe = scene.telling.probe(merged.writer)
@@ -206,15 +201,13 @@ class Stereo:
 
     def _give(self, now_ns: int) -> None:
         while (pair := self._pairer.next_event()) is not None:
+            for call in self._on_halves:
+                call(pair.oldest_ns)
             self._show(Paired(pair, now_ns), pair.stamp, now_ns)
 
     def publish(self) -> None:
         pairer = self._pairer
         self._probe.publish(StereoMetrics(paired=pairer.paired, single=pairer.single))
-
-
-#: Takes the datagrams of a flow that come out of the link, with the instant.
-Consumer = Callable[[bytes, int], object]
 
 
 class Media:
@@ -230,13 +223,12 @@ class Media:
         self.backlogs: dict[str, Callable[[Backlog, int], None]] = {}
         self._scene = scene
         self._on_confirmed = on_confirmed
-        self._receivers: list[VideoReceiveProcess | VoiceReceiveProcess] = []
-        self._video_receivers: dict[str, VideoReceiveProcess] = {}
+        #: Called with the instant of capture of the older half of each merged picture.
+        self.on_halves: list[Callable[[int], None]] = []
+        self.video_receivers: dict[str, VideoReceiveProcess] = {}
         #: By display.
         self._displays: dict[str, Display] = {}
         self._follow_choice: Callable[[Choice, int], None] | None = None
-        #: Everything shown up to this instant is known.
-        self._settled_ns = scene.start_ns
         setup = scene.setup
         pictures = self._receive_video(setup.uplink_video)
         self._send_uplink_video()
@@ -251,31 +243,23 @@ class Media:
             self._receive_voice(setup.downlink_voice, pictures_down)
             self._send_voice(setup.downlink_voice, OPERATOR_MIC)
 
-    def settle(self, until_ns: int, now_ns: int) -> None:
-        """Wait for all that was decoded by `until_ns`; it is `now_ns`."""
-        for receiver in self._receivers:
-            receiver.settle(until_ns)
-        self._settled_ns = min(until_ns, now_ns)
-        for display in self._displays.values():
-            display.handle_time(self._settled_ns)
-
     def _send_uplink_video(self) -> None:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
-        tip = tip_region(setup)
-        studio = self._studio(stream, setup.camera_inputs, regions=tip is not None)
-        sender = self._video_sender(stream, studio)
-        sender.tip = None if tip is None else (tip, self._scene.state_at)
-        follower = sender.follower = CameraFollower()
+        studio = self._studio(stream, setup.camera_inputs, regions=setup.region != "off")
+        sender = self._add_sender(
+            stream,
+            VideoSendProcess(self._scene, stream, studio, follows=True, robot=self._scene.robot),
+        )
         sender.on_confirmed = self._on_confirmed
         self._follow_choice = sender.handle_choice
 
         def select(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
-            if camera == follower.camera:
-                sender.handle_picture(picture, follower.restamp(stamp), now_ns)
+            if camera == sender.end.camera:
+                sender.handle_picture(picture, stamp, now_ns)
 
         stereo = None
         if STEREO in setup.cameras:
-            stereo = Stereo(self._scene, stream.fps, partial(select, STEREO))
+            stereo = Stereo(self._scene, stream.fps, partial(select, STEREO), self.on_halves)
 
         def show(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
             if stereo is not None and camera in STEREO_INPUTS:
@@ -283,7 +267,8 @@ class Media:
             select(camera, picture, stamp, now_ns)
 
         def ahead(shot: Shot) -> None:
-            shown = STEREO_INPUTS if follower.camera == STEREO else (follower.camera,)
+            camera = sender.end.camera
+            shown = STEREO_INPUTS if camera == STEREO else (camera,)
             if shot.camera in shown:
                 studio.submit(shot)
 
@@ -293,7 +278,9 @@ class Media:
 
     def _send_downlink_video(self, stream: VideoStream) -> None:
         studio = self._studio(stream, [OPERATOR_CAMERA])
-        show = self._video_sender(stream, studio).handle_picture
+        show = self._add_sender(
+            stream, VideoSendProcess(self._scene, stream, studio)
+        ).handle_picture
         film = self._film(OPERATOR_CAMERA, studio)
         Camera(self._scene, OPERATOR_CAMERA, stream.fps, film, show, studio.submit)
 
@@ -313,20 +300,11 @@ class Media:
         """What plays the file of an input; None for a scene."""
         return None if self._scene.setup.source(name).startswith("scene:") else studio
 
-    def _video_sender(self, stream: VideoStream, studio: Worker) -> VideoSendProcess:
-        gateway = self._scene.sending_gateway(stream.name)
-        sender = VideoSendProcess(self._scene, stream, self._core(stream), gateway, studio)
-        self._add_sender(stream, sender)
-        return sender
-
-    def _core(self, stream: VideoStream) -> VideoSender:
-        identity = self._scene.identity(stream.name)
-        return video_sender(self._scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS)
-
-    def _add_sender(self, stream: VideoStream, sender: VideoProcess) -> None:
+    def _add_sender(self, stream: VideoStream, sender: VideoSendProcess) -> VideoSendProcess:
         scene = self._scene
         self.consumers[scene.topology.video(stream.name).feedback] = sender.handle_feedback
         self.backlogs[scene.setup.profile_of(stream).name] = sender.handle_backlog
+        return sender
 
     def _send_voice(self, stream: VoiceStream, name: str) -> None:
         scene = self._scene
@@ -341,7 +319,7 @@ class Media:
         make = self._decoding(stream, watched)
         receiver = VideoReceiveProcess(self._scene, stream, display, make)
         self._add_receiver(stream.name, receiver)
-        self._video_receivers[stream.name] = receiver
+        self.video_receivers[stream.name] = receiver
         return receiver
 
     def _decoding(
@@ -353,7 +331,7 @@ class Media:
     def _receive_voice(self, stream: VoiceStream, pictures: VideoReceiveProcess | None) -> None:
         receiver = VoiceReceiveProcess(self._scene, stream, self._display(stream.name))
         if pictures is not None:
-            pictures.on_shown = receiver.handle_picture_shown
+            pictures.on_shown.append(receiver.handle_picture_shown)
         self._add_receiver(stream.name, receiver)
 
     def _add_receiver(
@@ -361,7 +339,6 @@ class Media:
     ) -> None:
         self.consumers[stream] = receiver.handle_packet
         self.consumers[f"{stream}_rtcp"] = receiver.handle_report
-        self._receivers.append(receiver)
 
     def _display(self, stream: str) -> Display:
         telling, topology = self._scene.telling, self._scene.topology
@@ -369,6 +346,6 @@ class Media:
         if name not in self._displays:
             streams = [row.stream for row in topology.media_streams if row.display == name]
             showing = Showing(self._scene.setup, streams, telling.probe(name))
-            telling.add(lambda: showing.publish(self._settled_ns))
-            self._displays[name] = Display(showing)
+            telling.add(lambda: showing.publish(telling.now_ns))
+            self._displays[name] = Display(self._scene, showing)
         return self._displays[name]

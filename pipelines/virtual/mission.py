@@ -1,43 +1,53 @@
 """PUS, tasks and files on virtual time: experimenter and robot below, panel and cosmonaut above."""
 
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.file_requests import ENTITIES
-from pipelines.hand.hand_topics import JoystickStatus
+from pipelines.hand.hand_topics import HandRequest, JoystickStatus
 from pipelines.hand.haptics import JoystickEnd
-from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
-from pipelines.link.link_metrics import link_values
+from pipelines.hand.robot_commands import RobotCommands
+from pipelines.link.link_metrics import CONNECTED, LinkValues, link_values
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.mission import MissionGround, Seen, robot_order
-from pipelines.mission.supervisor import session_dictionary
-from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import (
     FunctionAsked,
+    FunctionDone,
     K2aciArrived,
     SendK2aci,
+    SetValues,
     TmtcNews,
     TmtcRequest,
+    Values,
     k2aci_message,
     plain_fields,
 )
-from pipelines.mission.tmtc_sources import SAMPLE_NS, GatewaySource, JoystickSource, RobotSource
+from pipelines.mission.tmtc_segment import TmtcSegment
+from pipelines.mission.tmtc_sources import SAMPLE_NS
+from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from pipelines.session.options import FILES_BPS
 from pipelines.session.probe import Probe
+from pipelines.session.process import wait_ns
+from pipelines.session.session_metrics import ProcessState
 from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import LinkMeanwhile
-from pipelines.session.topology import FILES, TELECOMMAND, TELEMETRY, maintenance_stream
-from pipelines.virtual.media import Consumer
+from pipelines.session.topology import (
+    FILES,
+    PANEL,
+    TASKS,
+    TELECOMMAND,
+    TELEMETRY,
+    maintenance_stream,
+)
+from pipelines.virtual.streams import Consumer
 from pipelines.virtual.workers import Scene, Timer
 from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, RENAME
-from telepresence.haptics.bilateral import Handle
-from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.joystick import Joystick
+from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.sample import STATE_HALTED
 from telepresence.link.flows import Level
-from telepresence.link.supervision.message import LinkState
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.kernel import TICK_NS, ChooseCamera, Record
@@ -52,57 +62,64 @@ from telepresence.tmtc.pus.packets import COUNT_MODULUS
 TakeNews = Callable[[TmtcNews, int], object]
 
 
+#: What robot and joystick have not yet taken, and the states that an end has not: the newest.
+_MOST_COMMANDS, _MOST_STATES = 16, 16
+#: How often the launcher tells of the processes.
+_PROCESSES_NS = NS_PER_S
+_RUNS_ON = "a simulation stops no process"
+
+
 class SimulatedTmtc:
     """The TM/TC ends of a simulation, by segment.
 
-    robot: its controller; None: there is none, and nobody carries out its functions.
     handle: of the joystick; None: there is none, and nobody carries out its functions.
     silent: send nothing, because a recording has the packets.
+
+    robot_commands, joystick_commands: what telecommands ask for, with its instant. The loops of
+    robot and joystick take it, and answer by `handle_status`.
+    links: what the gateways told last, by segment.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        robot: RobotCommands | None,
-        handle: Handle | None,
-        silent: bool = False,
-    ) -> None:
-        setup, now_ns, random = scene.setup, scene.start_ns, scene.random("tmtc")
-        self._agenda, self._gateways, self._state_at = scene.agenda, scene.gateways, scene.state_at
+    def __init__(self, scene: Scene, *, handle: Handle | None, silent: bool = False) -> None:
+        now_ns, random = scene.start_ns, scene.random("tmtc")
+        self._agenda, self._gateways, self._robot_state = scene.agenda, scene.gateways, scene.robot
         streams = {Segment.GROUND: TELEMETRY, Segment.SPACE: TELECOMMAND}
         self._send = {
             segment: partial(gateway.handle_datagram, streams[segment])
             for segment, gateway in scene.gateways.items()
         }
-        self._handle, self._silent = handle, silent
+        self._handle = handle if isinstance(handle, HeldJoystick) else None
+        self._silent = silent
         self._takers: dict[Segment, list[TakeNews]] = {segment: [] for segment in Segment}
-        self.ends = {
-            segment: TmtcEnd(
+        self._segments = {
+            segment: TmtcSegment(
                 segment,
-                session_dictionary(built_in_dictionary(), scene.topology),
+                scene.topology,
+                built_in_dictionary(),
                 now_ns=now_ns,
+                first_number=0,
                 first_count=random.randrange(COUNT_MODULUS),
                 boot_id=1 + now_ns // NS_PER_S,
-                delay_ns=setup.radio_profile.longest_delay_ns,
             )
             for segment in Segment
         }
+        self.ends = {segment: one.end for segment, one in self._segments.items()}
         self._timers = {
             segment: Timer(scene.agenda, partial(self._work, segment)) for segment in Segment
         }
-        self._sources = {
-            segment: GatewaySource(end, f"{segment.value}_gateway")
-            for segment, end in self.ends.items()
-        }
-        self._robot = RobotSource(self.ends[Segment.GROUND], first_number=0)
-        self._robot_commands = robot
-        self._joystick = JoystickSource(self.ends[Segment.SPACE], first_number=0)
-        self._teller = None
-        if isinstance(handle, OperatedHandle):
-            self._teller = JoystickStatusTeller(handle)
-            self._teller.handle_watched(watched=True)
+        self.robot_commands: deque[tuple[RobotCommand, int]] = deque(maxlen=_MOST_COMMANDS)
+        self.joystick_commands: deque[HandRequest] = deque(maxlen=_MOST_COMMANDS)
+        self._robot_states: deque[RobotStatus] = deque(maxlen=_MOST_STATES)
+        self._joystick_states: deque[JoystickStatus] = deque(maxlen=_MOST_STATES)
+        self.links: dict[Segment, LinkValues] = {segment: {} for segment in Segment}
+        topology = scene.topology
+        self._running = [
+            ProcessState(name=row.name, state="running")
+            for row in topology.processes
+            if topology.runs(row.name)
+        ]
         scene.agenda.at(now_ns + SAMPLE_NS, self._sample)
+        scene.agenda.at(now_ns + _PROCESSES_NS, self._tell_processes)
 
     def subscribe(self, segment: Segment, take: TakeNews) -> None:
         self._takers[segment].append(take)
@@ -119,23 +136,19 @@ class SimulatedTmtc:
             self._work(segment, now_ns)
         return taken
 
+    def handle_status(self, status: RobotStatus | JoystickStatus) -> None:
+        """What robot or joystick publish. It wakes nobody: an end looks at it when it wakes up."""
+        if isinstance(status, RobotStatus):
+            self._robot_states.append(status)
+        else:
+            self._joystick_states.append(status)
+
     def _sample(self, now_ns: int) -> None:
         self._agenda.at(now_ns + SAMPLE_NS, self._sample)
-        for segment, source in self._sources.items():
-            source.handle_values(link_values(self._gateways[segment].report(now_ns)), now_ns)
-        self._robot.handle_state(self._state_at(now_ns), now_ns)
-        if self._robot_commands is not None:
-            self._robot.handle_status(self._robot_commands.status(now_ns), now_ns)
-        self._sample_joystick(now_ns)
-        for segment in Segment:
-            self._work(segment, now_ns)
-
-    def _sample_joystick(self, now_ns: int) -> None:
-        handle = self._handle
-        if self._teller is not None:
-            if (status := self._teller.poll_status(now_ns)) is not None:
-                self._joystick.handle_status(status, now_ns)
-        elif handle is not None:
+        for segment, one in self._segments.items():
+            values = self.links[segment] = link_values(self._gateways[segment].report(now_ns))
+            one.gateway.handle_values(values, now_ns)
+        if (handle := self._handle) is not None:
             status = JoystickStatus(
                 state=handle.state,
                 reason="",
@@ -144,44 +157,51 @@ class SimulatedTmtc:
                 device="simulated",
                 half_width_m=0.0,
                 half_height_m=0.0,
-                temperature_c=handle.temperature_c if isinstance(handle, Joystick) else None,
+                temperature_c=handle.temperature_c,
                 x_m=handle.x_m,
                 y_m=handle.y_m,
             )
-            self._joystick.handle_status(status, now_ns)
+            self.handle_status(status)
+        for segment in Segment:
+            self._work(segment, now_ns)
+
+    def _tell_processes(self, now_ns: int) -> None:
+        self._agenda.at(now_ns + _PROCESSES_NS, self._tell_processes)
+        for one in self._segments.values():
+            one.handle_processes(self._running, now_ns)
 
     def _work(self, segment: Segment, now_ns: int) -> None:
-        end, send = self.ends[segment], self._send[segment]
-        while (packet := end.poll_transmit(now_ns)) is not None:
+        one, send = self._segments[segment], self._send[segment]
+        if one.robot is not None:
+            if (state := self._robot_state()) is not None:
+                one.robot.handle_state(state, now_ns)
+            while self._robot_states:
+                one.robot.handle_status(self._robot_states.popleft(), now_ns)
+        elif one.joystick is not None:
+            while self._joystick_states:
+                one.joystick.handle_status(self._joystick_states.popleft(), now_ns)
+        while (packet := one.end.poll_transmit(now_ns)) is not None:
             if not self._silent:
                 send(packet, now_ns)
-        while (news := end.next_event()) is not None:
-            if isinstance(news, FunctionAsked) and self._carry_out(news, segment, now_ns):
-                self._agenda.at(now_ns, partial(self._work, segment))
+        while (event := one.next_event(now_ns)) is not None:
+            news, command = event
+            if isinstance(command, RobotCommand):
+                self.robot_commands.append((command, now_ns))
+            elif command is not None:
+                self.joystick_commands.append(command)
             for take in self._takers[segment]:
                 take(news, now_ns)
-        self._timers[segment].set(end.poll_timeout(now_ns), now_ns)
-
-    def _carry_out(self, asked: FunctionAsked, segment: Segment, now_ns: int) -> bool:
-        """Whether joystick or robot has carried out a function, or refused it."""
-        if segment is Segment.SPACE:
-            request = self._joystick.handle_asked(asked, now_ns)
-            if request is None or self._teller is None:
-                return False
-            self._teller.handle_telecommand(request)
-            self._sample_joystick(now_ns)
-            return True
-        command = self._robot.handle_asked(asked)
-        if command is None or self._robot_commands is None:
-            return False
-        self._robot_commands.handle_command(command, now_ns, now_ns)
-        self._robot.handle_status(self._robot_commands.status(now_ns), now_ns)
-        return True
+        while (order := one.poll_order()) is not None:
+            if not order.run:
+                one.handle_refused(order.process, _RUNS_ON, now_ns)
+        due_ns = one.end.poll_timeout(now_ns)
+        self._timers[segment].set(now_ns + wait_ns(now_ns, due_ns), now_ns)
 
 
 #: How old the picture of the LED panel is that the cosmonaut sees.
 _SEEN_NS = 3 * LOOK_NS
-_CLIENT = "mission"
+#: An application publishes its parameters once in this many ticks.
+_PUBLISH_EVERY = {TASKS: 10, PANEL: NS_PER_S // LOOK_NS}
 _HALTED = "The joystick is halted."
 
 
@@ -199,6 +219,8 @@ class SimulatedMission:
         scene: Scene,
         *,
         robot: RobotCommands,
+        status: Callable[[], RobotStatus],
+        orders: deque[tuple[RobotOrder, int]],
         joystick: JoystickEnd,
         tmtc: SimulatedTmtc,
         choice: CameraChoice,
@@ -208,15 +230,16 @@ class SimulatedMission:
         self._ground = MissionGround(catalogue, plan, now_ns=now_ns)
         self._panel = MissionPanel()
         self._cosmonaut = cosmonaut
-        self._robot, self._joystick = robot, joystick.side
-        self._gateways, self._tmtc = scene.gateways, tmtc
+        self._robot, self._joystick = robot.control.robot, joystick.side
+        self._status, self._orders = status, orders
+        self._tmtc, self._delay_ns = tmtc, scene.setup.radio_profile.longest_delay_ns
         self._choice, self._select = choice, select
         self._agenda = agenda
         self._leds = LedPanel()
         self._seen: list[PanelPicture] = []
         self._recording = False
         self._numbers = dict.fromkeys(Segment, 0)
-        self._pressed = 0
+        self._pressed = self._ticks = self._looks = self._order = 0
         self.journal = self._ground.journal
         self._joystick.handle.dead_man = False
         tmtc.subscribe(Segment.GROUND, self._hear_below)
@@ -225,7 +248,7 @@ class SimulatedMission:
         agenda.at(now_ns + LOOK_NS, self._look)
 
     def _connected(self, segment: Segment) -> bool:
-        return self._gateways[segment].supervisor.state is LinkState.CONNECTED
+        return self._tmtc.links[segment].get("state") == CONNECTED
 
     def _look(self, now_ns: int) -> None:
         self._agenda.at(now_ns + LOOK_NS, self._look)
@@ -240,27 +263,31 @@ class SimulatedMission:
         )
         self._seen.append(self._leds.picture(now_ns))
         picture = self._seen.pop(0) if len(self._seen) > _SEEN_NS // LOOK_NS else self._seen[0]
-        robot = self._robot.control.robot
+        robot = self._robot
         cosmonaut.look(panel.view, picture, (robot.x_m, robot.y_m), (handle.x_m, handle.y_m))
         handle.dead_man = cosmonaut.dead_man
         self._send(Segment.SPACE, panel.poll_message, now_ns)
+        if self._looks % _PUBLISH_EVERY[PANEL] == 0:
+            values: Values = {"mode": panel.view.mode.value, "run": panel.view.run}
+            self._tmtc.handle_request(Segment.SPACE, SetValues(PANEL, values), now_ns)
+        self._looks += 1
 
     def _tick(self, now_ns: int) -> None:
         self._agenda.at(now_ns + TICK_NS, self._tick)
-        reports = [gateway.report(now_ns) for gateway in self._gateways.values()]
-        link = LinkMeanwhile(
-            frames=sum(report.receive.frames_received for report in reports),
-            frames_lost=sum(report.receive.frames_lost for report in reports),
-            delay_ns=max(report.radio.delay_ns for report in reports),
-        )
+        values = self._tmtc.links[Segment.GROUND]
+        frames, lost = int(values.get("frames", 0)), int(values.get("frames_lost", 0))
         seen = Seen(
-            robot=self._robot.status(now_ns),
+            robot=self._status(),
             camera=self._choice.selected,
             recording=self._recording,
             signal=self._connected(Segment.GROUND),
-            link=link,
+            link=LinkMeanwhile(frames, lost, self._delay_ns),
         )
         self._ground.handle_tick(seen, now_ns)
+        if self._ticks % _PUBLISH_EVERY[TASKS] == 0:
+            request = SetValues(TASKS, self._ground.telemetry)
+            self._tmtc.handle_request(Segment.GROUND, request, now_ns)
+        self._ticks += 1
         self._settle(now_ns)
         sender = self._ground.leds
         while (octets := sender.poll_transmit(now_ns)) is not None:
@@ -274,27 +301,39 @@ class SimulatedMission:
                 self._select(order.name, now_ns)
             elif isinstance(order, Record):
                 self._recording = order.on
-            elif (told := robot_order(order, 0)) is not None:
-                self._robot.handle_order(told, now_ns, now_ns)
+            elif (told := robot_order(order, self._order + 1)) is not None:
+                self._order += 1
+                self._orders.append((told, now_ns))
         self._send(Segment.GROUND, self._ground.poll_message, now_ns)
 
     def _send(self, segment: Segment, poll: Callable[[], K2aciMessage | None], now_ns: int) -> None:
         while (message := poll()) is not None:
             self._numbers[segment] += 1
             request = SendK2aci(
-                _CLIENT, self._numbers[segment], type(message).__name__, plain_fields(message)
+                "mission", self._numbers[segment], type(message).__name__, plain_fields(message)
             )
             self._tmtc.handle_request(segment, request, now_ns)
 
     def _hear_above(self, news: TmtcNews, now_ns: int) -> None:
         if isinstance(news, K2aciArrived):
             self._panel.handle_message(k2aci_message(news.kind, news.fields), now_ns)
+        elif isinstance(news, FunctionAsked) and news.application == PANEL:
+            self._panel.handle_button(now_ns)
+            self._answer(Segment.SPACE, news, "", now_ns)
 
     def _hear_below(self, news: TmtcNews, now_ns: int) -> None:
         if isinstance(news, K2aciArrived):
             self._ground.handle_message(k2aci_message(news.kind, news.fields), now_ns)
             # What follows from it is done at its own instant, not within the gateway's event.
             self._agenda.at(now_ns, self._settle)
+        elif isinstance(news, FunctionAsked) and news.application == TASKS:
+            refusal = self._ground.handle_function(news.function, news.arguments, now_ns)
+            self._answer(Segment.GROUND, news, refusal, now_ns)
+            self._agenda.at(now_ns, self._settle)
+
+    def _answer(self, segment: Segment, asked: FunctionAsked, refusal: str, now_ns: int) -> None:
+        done = FunctionDone(asked.application, asked.token, refusal)
+        self._tmtc.handle_request(segment, done, now_ns)
 
 
 #: As often as the process looks at the link.
@@ -363,13 +402,16 @@ class SimulatedFiles:
 
     def _do(self, directory: dict[str, bytes], job: DirectoryJob) -> tuple[str, bytes]:
         if job.kind == LIST:
-            return "", "\n".join(sorted(directory)).encode()
+            lines = (f"{len(octets):>10} {name}\n" for name, octets in sorted(directory.items()))
+            return "", "".join(lines).encode()
         name = job.first
         if job.kind == STORE:
             directory[name] = job.octets
             return "", b""
         if name not in directory:
-            return "no such file", b""
+            return f"{name}: no such file", b""
+        if job.kind == RENAME and job.second in directory:
+            return f"{job.second}: is there already", b""
         if job.kind == GET:
             return "", directory[name]
         octets = directory.pop(name)

@@ -6,6 +6,7 @@ Everything happens in the order of its instant, so the same seed gives the same 
 machine.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,30 +16,34 @@ import msgspec
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from pipelines.hand.haptic_loop import SELDOM
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd, robot_side
 from pipelines.hand.replaying import ReplayedEnd
-from pipelines.hand.robot_commands import RobotCommands
-from pipelines.hand.safety_ends import CameraWatch, within
+from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
+from pipelines.hand.safety_ends import CameraWatch, OperatorView, within
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.following import Choice
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.mission.choosing import CAMERA, SELECT, CameraChoice
 from pipelines.mission.tmtc_messages import CommandUpdate, FunctionAsked, SendCommand, TmtcNews
 from pipelines.report.collector import Collector
-from pipelines.report.model import CodingCosts, SessionReport, SimulationReport
+from pipelines.report.model import SessionReport, SimulationReport
 from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
+from pipelines.session.mission_messages import RobotOrder
 from pipelines.session.probe import FLUSH_NS
-from pipelines.session.setup.table import STEREO, Setup
+from pipelines.session.setup.table import Setup
 from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
 from pipelines.table import topology_of
-from pipelines.virtual.media import Consumer, Media
+from pipelines.virtual.media import Media
 from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc
-from pipelines.virtual.workers import FAR_NS, Agenda, Scene, Telling, Timer, Workers
+from pipelines.virtual.streams import Consumer
+from pipelines.virtual.workers import Agenda, Scene, Telling, Timer, Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.simulated import SimulatedDevice
-from telepresence.haptics.envelope import Hold, SafetyEnvelope
+from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.mediated.wall import is_wall
 from telepresence.haptics.robot import Robot
@@ -51,8 +56,6 @@ from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
 from telepresence.world import WorldState, scripted_state
 
-#: The figures of a decoder are reported later by this, so that it need not keep step.
-_SETTLE_NS = 400_000_000
 #: Who sends the telecommands of the script.
 _SCRIPT = "script"
 
@@ -124,6 +127,9 @@ class Simulation:
         self._epoch_ns = epoch_ns
         self.start_ns = self._now_ns = self._next_slot_ns = start_ns
         self._state: WorldState | None = None
+        self._selected = ""
+        #: Cycles until what is rare.
+        self._wait = SELDOM
         #: What waits for the next haptic cycle.
         self._samples_up: list[bytes] = []
         self._samples_down: list[bytes] = []
@@ -139,6 +145,7 @@ class Simulation:
             workers=workers,
             gateways={Segment.GROUND: self._ground, Segment.SPACE: self._space},
             state_at=self._state_at,
+            robot=lambda: self._state,
             start_ns=start_ns,
         )
         self._slots_of = [ground_end.slots, space_end.slots]
@@ -150,23 +157,12 @@ class Simulation:
         self._robot, self._joystick = self._make_ends()
         telling.add(self._robot.publish)
         telling.add(self._joystick.publish)
-        #: None while a recording drives the robot.
-        self.robot_commands: RobotCommands | None = None
-        self._watch: CameraWatch | None = None
-        if isinstance(self._robot, RobotEnd):
-            envelope = self._robot.envelope
-            self._watch = CameraWatch(STEREO, 0, lambda: envelope.require_press(Hold.CAMERA))
-            boot_id = self._boot_id(self.topology.haptic("up").sender)
-            self.robot_commands = RobotCommands(
-                self._robot.side, boot_id=boot_id, tasks=plan is not None, now_ns=start_ns
-            )
         ground_probe, space_probe = self._probe(telemetry.sender), self._probe(telemetry.receiver)
         self._choice = CameraChoice(setup.cameras, ground_probe, now_ns=start_ns)
         telling.add(self._choice.publish)
         end = self._joystick
         self.tmtc = tmtc = SimulatedTmtc(
             scene,
-            robot=self.robot_commands,
             handle=end.side.handle if isinstance(end, JoystickEnd) else None,
             silent=self._recorded,
         )
@@ -188,9 +184,65 @@ class Simulation:
         self.files = SimulatedFiles(scene) if files else None
         if self.files is not None:
             self._consumers.update(self.files.consumers)
+        #: None while a recording drives the robot. What the kernel orders, with its instant.
+        self.robot_commands: RobotCommands | None = None
+        self._orders: deque[tuple[RobotOrder, int]] = deque()
+        #: What the loops of robot and joystick do every few cycles.
+        self._seldom: list[Callable[[int], None]] = []
+        if isinstance(self._robot, RobotEnd):
+            self._seldom.append(self._serve_robot(self._robot, tasks=plan is not None))
+        if isinstance(end, JoystickEnd):
+            self._seldom.append(self._serve_joystick(end.side.handle))
         self._work_choice(start_ns)
         agenda.at(start_ns + FLUSH_NS, self._flush)
         self.mission = None if plan is None else self._make_mission(*plan)
+
+    def _serve_robot(self, end: RobotEnd, *, tasks: bool) -> Callable[[int], None]:
+        boot_id = self._boot_id(self.topology.haptic("up").sender)
+        self.robot_commands = service = RobotCommands(
+            end.side, boot_id=boot_id, tasks=tasks, now_ns=self.start_ns
+        )
+        self.robot_status = service.status(self.start_ns)
+        probe = self._probe(self.topology.haptic("up").sender)
+        self._telling.add(lambda: probe.publish(service.report()))
+        tmtc, watch = self.tmtc, CameraWatch(self.setup, end.envelope)
+        if self._media is not None:
+            self._media.on_halves.append(watch.handle_halves)
+
+        def serve(now_ns: int) -> None:
+            while self._orders:
+                service.handle_order(*self._orders.popleft(), now_ns)
+            # One at a time, so that each has its own answer.
+            if tmtc.robot_commands:
+                service.handle_command(*tmtc.robot_commands.popleft(), now_ns)
+            if (status := service.poll_status(now_ns)) is not None:
+                self.robot_status = status
+                tmtc.handle_status(status)
+            if self._selected:
+                watch.handle_choice(self._selected)
+            watch.handle_time(now_ns)
+
+        return serve
+
+    def _serve_joystick(self, handle: Handle) -> Callable[[int], None]:
+        tmtc, view, teller = self.tmtc, OperatorView(self.setup), None
+        if self._media is not None:
+            receiver = self._media.video_receivers[self.setup.uplink_video.name]
+            receiver.on_shown.append(view.handle_shown)
+        if isinstance(handle, OperatedHandle):
+            teller = JoystickStatusTeller(handle)
+            teller.handle_watched(watched=True)
+
+        def serve(now_ns: int) -> None:
+            if teller is not None:
+                if tmtc.joystick_commands:
+                    teller.handle_telecommand(tmtc.joystick_commands.popleft())
+                if (status := teller.poll_status(now_ns)) is not None:
+                    tmtc.handle_status(status)
+            if self._media is not None:
+                handle.blind = view.is_blind(now_ns)
+
+        return serve
 
     def _make_mission(self, plan: SessionPlan, catalogue: Catalogue) -> SimulatedMission:
         robot, joystick, cosmonaut = self.robot_commands, self._joystick, self._cosmonaut
@@ -201,6 +253,8 @@ class Simulation:
             cosmonaut,
             self._scene,
             robot=robot,
+            status=lambda: self.robot_status,
+            orders=self._orders,
             joystick=joystick,
             tmtc=self.tmtc,
             choice=self._choice,
@@ -225,6 +279,7 @@ class Simulation:
         poll_wall = robot.poll_wall if isinstance(robot, RobotEnd) and self._mediated else None
         see = self._sight()
         half_ns = CYCLE_NS // 2
+        seldom = self._seldom
         slot_ns = self._next_slot_ns
         while slot_ns < until_ns:
             advance(slot_ns)
@@ -256,15 +311,23 @@ class Simulation:
                 self._state = state
                 if see is not None:
                     see(state.x_m, state.y_m)
+            self._wait -= 1
+            if not self._wait:
+                self._wait = SELDOM
+                for look in seldom:
+                    look(now_ns)
             slot_ns += CYCLE_NS
         self._next_slot_ns = slot_ns
         advance(until_ns)
         self._now_ns = until_ns
 
+    def close(self) -> None:
+        """The session ends: senders say goodbye. Nothing runs after it."""
+        for end in self._scene.at_end:
+            end(self._now_ns)
+
     def report(self) -> SessionReport:
         """The report of all that was run so far: that of a live session, and `simulation`."""
-        if self._media is not None:
-            self._media.settle(FAR_NS, self._now_ns)
         self._telling.flush(self._now_ns)
         self.collector.handle_end()
         processes = self._telling.processes
@@ -405,7 +468,7 @@ class Simulation:
             first_ns=self.start_ns,
         )
 
-        self._telling.add(lambda: end.publish(self._now_ns))
+        self._telling.add(lambda: end.publish(self._telling.now_ns))
         return end
 
     def _random(self, what: str) -> Random:
@@ -416,8 +479,6 @@ class Simulation:
 
     def _flush(self, now_ns: int) -> None:
         self._now_ns = now_ns
-        if self._media is not None:
-            self._media.settle(now_ns - _SETTLE_NS, now_ns)
         self._telling.flush(now_ns)
         self._agenda.at(now_ns + FLUSH_NS, self._flush)
 
@@ -455,8 +516,7 @@ class Simulation:
         self._choice_timer.set(self._choice.poll_timeout(), now_ns)
 
     def _follow(self, choice: Choice, now_ns: int) -> None:
-        if self._watch is not None:
-            self._watch.handle_choice(choice.camera)
+        self._selected = choice.camera
         if self._media is None:
             self._choice.handle_confirmed(choice.number)
         else:

@@ -20,18 +20,21 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_payload import ReceivedUnit
-from pipelines.hand.replaying import ReplayedEnd, ReplayTime
+from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
 from pipelines.media.following import Choice
+from pipelines.media.media_metrics import CodingCosts
+from pipelines.media.stream_metrics import video_sender
 from pipelines.recording.recorded_messages import SAMPLE
-from pipelines.recording.recorded_session import RecordedSession, SentUnit
-from pipelines.report.model import CodingCosts, ReplayedStream, ReplayReport, SessionReport
+from pipelines.recording.recorded_session import RecordedSession, SentPacket, SentUnit
+from pipelines.recording.recorder_metrics import ReplayMetrics
+from pipelines.report.model import ReplayedStream, ReplayReport, SessionReport
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology import TELECOMMAND, TELEMETRY
 from pipelines.virtual.media import Camera, Media
 from pipelines.virtual.session import HapticEnd, Selection, Simulation
-from pipelines.virtual.streams import VideoProcess, VideoReceiveProcess, VoiceProcess
+from pipelines.virtual.streams import Consumer, VideoReceiveProcess, VideoSendProcess, VoiceProcess
 from pipelines.virtual.studio import SAME_DB, Originals, VideoDecoding, VideoStudio
-from pipelines.virtual.workers import Coder, Scene, Workers
+from pipelines.virtual.workers import WALL_OFFSET_NS, Coder, Scene, Timer, Workers
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.robot import Robot
 from telepresence.tasks.definitions import Catalogue
@@ -88,11 +91,11 @@ class Replay(Simulation):
             setup, workers, seed=seed, media=media, costs=costs, start_ns=start_ns, epoch_ns=lead_ns
         )
         for stream, gateway in ((TELECOMMAND, self._space), (TELEMETRY, self._ground)):
-            for packet in session.packets.get(stream, ()):
-                self._agenda.at(
-                    max(self.time.at(packet.sent_ns), self.start_ns),
-                    partial(gateway.handle_datagram, stream, packet.data),
-                )
+            packets = session.packets.get(stream, ())
+            sender = self.topology.stream(stream).sender
+            assert sender is not None
+            send = partial(_send_packet, packets, partial(gateway.handle_datagram, stream))
+            follow(self._scene, sender, packets, self.time, 0, send)
 
     def report(self) -> SessionReport:
         """The report of a simulation, and what became of the recorded streams."""
@@ -133,6 +136,33 @@ class Replay(Simulation):
         self._confirm(choice.number, now_ns)
 
 
+def _send_packet(
+    packets: Sequence[SentPacket], send: Consumer, number: int, _: int, now_ns: int
+) -> None:
+    send(packets[number].data, now_ns)
+
+
+def follow(
+    scene: Scene,
+    process: str,
+    items: Sequence[SentUnit] | Sequence[SentPacket],
+    time: ReplayTime,
+    cost_ns: int,
+    send: Callable[[int, int, int], None],
+) -> None:
+    """Have each item of a process sent: its number, its instant in the replay, and now."""
+    script = ReplayScript([item[0] for item in items], time, cost_ns=cost_ns, now_ns=scene.start_ns)
+    scene.telling.probe(process).publish(ReplayMetrics(items_left_out=script.left_out))
+
+    def work(now_ns: int) -> None:
+        while (due := script.poll_due(now_ns)) is not None:
+            send(*due, now_ns)
+        timer.set(script.poll_timeout(), now_ns)
+
+    timer = Timer(scene.agenda, work)
+    timer.set(script.poll_timeout(), scene.start_ns)
+
+
 class ReplayedMedia(Media):
     """The streams of a setup; what a recording has of them is sent."""
 
@@ -147,7 +177,7 @@ class ReplayedMedia(Media):
         self._session, self._time, self._recode = session, time, recode
         self._tallies: dict[str, _Tally] = {}
         super().__init__(scene, on_confirmed)
-        for name, receiver in self._video_receivers.items():
+        for name, receiver in self.video_receivers.items():
             self._tallies[name] = tally = _Tally(
                 self._session.pictures.get(name, []), session.received.get(name), receiver
             )
@@ -168,14 +198,11 @@ class ReplayedMedia(Media):
             films = {camera: f"mcap:{self._recode}#/{stream.name}/sent"}
             first_ns = self._time.at(units[0].capture_ns)
             studio = scene.workers.start(partial(VideoStudio, stream, films, first_ns))
-            show = self._video_sender(stream, studio).handle_picture
-            Camera(scene, camera, stream.fps, studio, show)
+            sender = self._add_sender(stream, VideoSendProcess(scene, stream, studio))
+            Camera(scene, camera, stream.fps, studio, sender.handle_picture)
             return
-        gateway = scene.sending_gateway(stream.name)
-        sender = VideoProcess(scene, stream, self._core(stream), gateway)
-        self._add_sender(stream, sender)
+        sender = self._add_sender(stream, VideoSendProcess(scene, stream))
         cost_ns = scene.costs.ns("capture") + scene.costs.picture_ns("encode", stream.codec)
-
         self._feed(stream.name, units, cost_ns, sender)
 
     def _send_voice(self, stream: VoiceStream, name: str) -> None:
@@ -190,29 +217,22 @@ class ReplayedMedia(Media):
         name: str,
         units: Sequence[SentUnit],
         cost_ns: int,
-        sender: VideoProcess | VoiceProcess,
+        sender: VideoSendProcess | VoiceProcess,
     ) -> None:
-        agenda, start_ns, numbered = self._scene.agenda, self._scene.start_ns, enumerate(units)
 
-        def enter(now_ns: int) -> None:
-            number, unit = next(numbered, (0, None))
-            if unit is None:
-                return
-            capture_ns = self._time.at(unit.capture_ns)
-            stamp = CaptureStamp(capture_ns, number, name)
+        def send(number: int, capture_ns: int, now_ns: int) -> None:
+            unit, stamp = units[number], CaptureStamp(capture_ns, number, name)
+            sender.handle_coded(AccessUnit(unit.data, stamp, unit.key, unit.codec), now_ns)
 
-            def go(due_ns: int) -> None:
-                sender.handle_unit(AccessUnit(unit.data, stamp, unit.key, unit.codec), due_ns)
-                enter(due_ns)
-
-            agenda.at(max(capture_ns + cost_ns, now_ns), go)
-
-        enter(start_ns)
+        process = self._scene.topology.media(name).sender
+        follow(self._scene, process, units, self._time, cost_ns, send)
 
     def _decoding(
         self, stream: VideoStream, watched: tuple[int, int] | None
     ) -> Callable[[], Coder]:
-        core, units = self._core(stream), self._session.pictures.get(stream.name, [])
+        scene, units = self._scene, self._session.pictures.get(stream.name, [])
+        identity = scene.identity(stream.name)
+        core = video_sender(scene.setup, stream, identity, wall_offset_ns=WALL_OFFSET_NS)
         dated = [(core.timestamp(self._time.at(unit.capture_ns)), unit.data) for unit in units]
         # Recoded units may have another codec than the stream.
         codec = units[0].codec if units else stream.codec
@@ -334,5 +354,6 @@ def _run(simulation: Simulation, end_ns: int, stopped: Callable[[], bool]) -> No
         while now_ns < end_ns and not stopped():
             now_ns = min(now_ns + _STRIDE_NS, end_ns)
             simulation.run(now_ns)
+        simulation.close()
     finally:
         gc.unfreeze()

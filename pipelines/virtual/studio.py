@@ -18,14 +18,14 @@ from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.codecs.region import Region
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
-from kontur_av.media import I420, CaptureStamp, Pcm, VideoCodec, VideoFrame, empty_picture
+from kontur_av.media import I420, CaptureStamp, VideoCodec, VideoFrame, empty_picture
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import StereoPair
 from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.media.marking import StereoMerger
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from telepresence.world import StateAt, WorldState, audio_scenes, render
+from telepresence.world import WorldState, audio_scenes, render
 
 #: The most pictures or blocks of a file that are kept until they are encoded.
 _MOST_KEPT = 16
@@ -184,9 +184,9 @@ def _kept(items: OrderedDict[int, _T], stamp: CaptureStamp, item: _T) -> int:
 
 
 class VideoDecoding:
-    """Decodes access units: a list of (Annex B octets, timestamp, instant of display).
+    """Decodes access units: (Annex B octets, timestamp, instant of display).
 
-    The result for each unit has:
+    The result for each has:
     - its pictures as (timestamp, width, height, corrupt);
     - the decoder's counters after it: decoded, corrupt, restarts;
     - the lights that came on, whose tags are the timestamps of their picture and the one before;
@@ -208,10 +208,8 @@ class VideoDecoding:
         self._shown = None if watched is None else empty_picture(*watched)
         self._eye = LightDetector()
 
-    def __call__(self, units: Sequence[tuple[bytes, int, int]]) -> list[Decoded]:
-        return [self._decode(*unit) for unit in units]
-
-    def _decode(self, data: bytes, timestamp: int, shown_ns: int) -> Decoded:
+    def __call__(self, unit: tuple[bytes, int, int]) -> Decoded:
+        data, timestamp, shown_ns = unit
         decoder, originals = self._decoder, self._originals
         pictures, quality = [], []
         for picture in decoder.decode(data, timestamp):
@@ -271,73 +269,39 @@ class VoiceStudio:
     """Makes sounds or reads them from a file, and encodes them.
 
     A job is one of:
-    - (instant at which a block of the scene is complete, state of the world, whether that state is
-      a guess); the result is the Opus packet. A guess may be followed by the true state of the same
-      block: then the encoder goes back first;
+    - (instant at which a block of the scene is complete, state of the world); the result is the
+      Opus packet;
     - None; the result is the capture instant of the file's next block, or None at its end;
     - the number of a block of the file; the result is its Opus packet.
     """
 
     def __init__(self, stream: VoiceStream, name: str, spec: str, start_ns: int) -> None:
         self._encoder = OpusEncoder(bitrate_bps=bitrate_under_cap(stream.cap_bps))
-        self._state = WorldState(start_ns)
+        self._state, self._clock = WorldState(start_ns), ManualClock(start_ns)
         self._packets: OrderedDict[int, bytes] = OrderedDict()
-        self._first = _Sound(spec, name, start_ns, self._state_at)
-        # A scene is played twice: for guesses, and again when the truth is known.
-        scene = spec.startswith("scene:")
-        self._second = _Sound(spec, name, start_ns, self._state_at) if scene else self._first
-        self._guessed_ns: int | None = None
-        self._before = b""
+        scenes = audio_scenes(lambda _: self._state)
+        self._source: AudioSource = open_audio(spec, name=name, clock=self._clock, scenes=scenes)
 
-    def __call__(self, job: tuple[int, WorldState, bool] | int | None) -> bytes | int | None:
+    def __call__(self, job: tuple[int, WorldState] | int | None) -> bytes | int | None:
         if job is None:
             return self._next()
         if isinstance(job, int):
             return self._packets[job]
-        complete_ns, state, guess = job
-        if not guess and complete_ns == self._guessed_ns:
-            self._encoder.restore(self._before)
-        else:
-            if self._guessed_ns is not None:  # the guess was right
-                self._second.block(self._guessed_ns)
-            self._state = state
-            samples = self._first.block(complete_ns)
-        if guess:
-            self._guessed_ns, self._before = complete_ns, self._encoder.save()
-        else:
-            self._guessed_ns, self._state = None, state
-            samples = self._second.block(complete_ns)
-        return self._encoder.encode(samples)
+        complete_ns, self._state = job
+        self._clock.sleep_until_ns(complete_ns)
+        frame = self._source.read(0)
+        assert frame is not None
+        return self._encoder.encode(frame.samples)
 
     def _next(self) -> int | None:
-        frame = _tried(lambda: self._first.source.read(_TIMEOUT_NS))
+        frame = _tried(lambda: self._source.read(_TIMEOUT_NS))
         if frame is None:
             return None
         return _kept(self._packets, frame.stamp, self._encoder.encode(frame.samples))
 
-    def _state_at(self, now_ns: int) -> WorldState:
-        return self._state
-
-
-class _Sound:
-    """A source of sound on a clock of its own."""
-
-    def __init__(self, spec: str, name: str, start_ns: int, state_at: StateAt) -> None:
-        self._clock = ManualClock(start_ns)
-        self.source: AudioSource = open_audio(
-            spec, name=name, clock=self._clock, scenes=audio_scenes(state_at)
-        )
-
-    def block(self, complete_ns: int) -> Pcm:
-        """Return the scene's block that is complete at `complete_ns`."""
-        self._clock.sleep_until_ns(complete_ns)
-        frame = self.source.read(0)
-        assert frame is not None
-        return frame.samples
-
 
 class VoiceDecoding:
-    """Decodes blocks of sound: a list of (`PlayoutBlock`, instant of playing it).
+    """Decodes blocks of sound: (`PlayoutBlock`, instant of playing it).
 
     The result for each is whether it was decoded (not concealed), and the clicks that began in it.
     The tag of a click is the timestamp of its block.
@@ -349,12 +313,8 @@ class VoiceDecoding:
         self._player = VoicePlayer()
         self._ear = ClickDetector() if watched else None
 
-    def __call__(
-        self, blocks: Sequence[tuple[PlayoutBlock, int]]
-    ) -> list[tuple[bool, list[Click]]]:
-        return [self._play(*block) for block in blocks]
-
-    def _play(self, block: PlayoutBlock, heard_ns: int) -> tuple[bool, list[Click]]:
+    def __call__(self, heard: tuple[PlayoutBlock, int]) -> tuple[bool, list[Click]]:
+        block, heard_ns = heard
         samples, decoded = self._player.play(block)
         if self._ear is None:
             return decoded, []

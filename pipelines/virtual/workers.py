@@ -13,7 +13,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from multiprocessing.connection import Connection
 from random import Random
@@ -22,8 +22,8 @@ from typing import Any
 import cv2
 
 from kontur_av.rtp.sender import RtpIdentity
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.report.collector import Collector
-from pipelines.report.model import CodingCosts
 from pipelines.session.launcher import keep_memory
 from pipelines.session.probe import Probe
 from pipelines.session.setup.table import Setup
@@ -93,6 +93,8 @@ class Telling:
         self._collector = collector
         self._probes: dict[str, Probe] = {}
         self._fills: list[Callable[[], object]] = []
+        #: The instant of the flush.
+        self.now_ns = 0
         #: Takes a function to call before each flush, which puts counters into its probe.
         self.add = self._fills.append
 
@@ -101,19 +103,16 @@ class Telling:
         return list(self._probes)
 
     def probe(self, process: str) -> Probe:
-        probe = self._probes[process] = Probe()
-        return probe
+        return self._probes.setdefault(process, Probe())
 
     def flush(self, now_ns: int) -> None:
+        self.now_ns = now_ns
         for fill in self._fills:
             fill()
         for name, probe in self._probes.items():
             self._collector.handle_message(name, probe.message, now_ns)
             probe.handle_told(now_ns, told=True)
 
-
-#: Jobs in a batch.
-_BATCH = 8
 
 #: Does one job after the other. It is made in the worker process.
 Coder = Callable[[Any], Any]
@@ -189,36 +188,6 @@ class Worker:
             self._process.kill()
 
 
-class Batch:
-    """Submits small jobs in batches, for results that are needed late.
-
-    The worker's coder gets a list of jobs and returns a list of results.
-    """
-
-    def __init__(self, worker: Worker) -> None:
-        self._worker = worker
-        self._jobs: list[Any] = []
-        self._submitted: deque[Job] = deque()
-        self._results: deque[Any] = deque()
-
-    def submit(self, job: Any) -> None:
-        self._jobs.append(job)
-        if len(self._jobs) == _BATCH:
-            self._begin()
-
-    def next_result(self) -> Any:
-        """Wait for the result of the next job, in the order of submission."""
-        while not self._results:
-            if not self._submitted:
-                self._begin()
-            self._results.extend(self._submitted.popleft().result())
-        return self._results.popleft()
-
-    def _begin(self) -> None:
-        self._submitted.append(self._worker.submit(self._jobs))
-        self._jobs = []
-
-
 class Workers(ExitStack):
     """All workers of a simulation. A context manager, which ends them."""
 
@@ -237,7 +206,8 @@ class Workers(ExitStack):
 class Scene:
     """What the parts of a simulated session share.
 
-    state_at: the newest state of the robot. start_ns: when it begins.
+    state_at: the newest state of the robot; robot: the same, None before the first.
+    start_ns: when it begins. at_end: called with the instant when the session ends.
     """
 
     setup: Setup
@@ -249,7 +219,9 @@ class Scene:
     workers: Workers
     gateways: Mapping[Segment, Gateway]
     state_at: Callable[[int], WorldState]
+    robot: Callable[[], WorldState | None]
     start_ns: int
+    at_end: list[Callable[[int], object]] = field(default_factory=list)
 
     def sending_gateway(self, stream: str) -> Gateway:
         return self.gateways[self.topology.media(stream).direction.sender]

@@ -31,7 +31,7 @@ _HEADER_OCTETS = {Level.VOICE: STEADY_OCTETS, Level.VIDEO: TIMED_OCTETS}
 
 #: Above this rate, video headers count as whole: too many packets follow a reference for the bits
 #: of the sequence number.
-MOST_COMPRESSED_PER_S = 180
+MOST_COMPRESSED_PER_S = 140
 
 #: Whole headers a second and stream.
 _WHOLE_PER_S = NS_PER_S / REFRESH_NS

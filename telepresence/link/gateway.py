@@ -170,8 +170,13 @@ class Gateway:
         if was_silent:
             self._follow_supervision()
 
-    def handle_slot(self, now_ns: int) -> None:
-        """A slot begins: send exactly one frame."""
+    def handle_slot(self, now_ns: int, due_ns: int | None = None) -> None:
+        """A slot begins: send exactly one frame.
+
+        due_ns: the slot's instant, at which the frame enters the radio path; by default now. So a
+        frame leaves a path whose delay is whole slots within a slot, not in a wake-up of its own.
+        """
+        due_ns = now_ns if due_ns is None else due_ns
         supervisor, sender = self.supervisor, self.sender
         message = None
         if now_ns >= supervisor.next_ns:
@@ -185,7 +190,7 @@ class Gateway:
             and now_ns >= clock.next_ns
         ):
             # It leaves this machine after the radio's simulated delay.
-            message = clock.poll_transmit(now_ns, self.radio.arrival_ns(now_ns))
+            message = clock.poll_transmit(now_ns, self.radio.arrival_ns(due_ns))
         frame = sender.poll_transmit(now_ns, message)
         slot = self._slot
         self._slot = slot + 1 if slot + 1 < COUNTED_SLOTS else 0
@@ -200,7 +205,7 @@ class Gateway:
             self.free_slots += 1
         if self.frames_sent is not None:
             self.frames_sent.append((now_ns, frame))
-        self.radio.handle_frame(frame, now_ns)
+        self.radio.handle_frame(frame, due_ns)
 
     def poll_transmit(self, now_ns: int) -> bytes | None:
         """The next frame that reaches the other segment by now, or None. Call until None."""

@@ -1,10 +1,10 @@
 """Compresses RTP headers to one or four octets, one-way and correct under any loss.
 
-Whole headers are the only references: one a second, and several at the start. The receiver restores
-a header from the newest reference that it holds, as in ROHC's unidirectional mode (RFC 5795). The
-sender knows all references that this may be: those sent within `LIFE_NS`. It compresses a header
-only if *each* of them restores exactly this header, by the receiver's own arithmetic. No packet
-depends on the one before, and nothing is acknowledged. No loss can corrupt a header.
+Whole headers are the only references: one each 1.6 s, and several at the start. The receiver
+restores a header from the newest reference that it holds, as in ROHC's unidirectional mode (RFC
+5795). The sender knows all references that this may be: those sent within `LIFE_NS`. It compresses
+a header only if *each* of them restores exactly this header, by the receiver's arithmetic. No
+packet depends on the one before, and nothing is acknowledged. No loss can corrupt a header.
 
 Both ends count frames, so the time since the reference predicts sequence number and timestamp. The
 low bits in a compressed header choose the only value with these bits in a window around it.
@@ -19,8 +19,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.flows import Flow
 
 #: A reference is not used for longer. Four of them in a row may get lost.
-LIFE_NS = 5_200 * NS_PER_MS
-REFRESH_NS = NS_PER_S
+LIFE_NS = 6_600 * NS_PER_MS
+REFRESH_NS = 1_600 * NS_PER_MS
 #: Number of whole headers after which the receiver is assumed to hold one.
 FIRST_WHOLE = 3
 

@@ -4,18 +4,17 @@ A shell that binds sockets, or the simulation, repeats these steps:
 
 1. Sleep until `poll_timeout()`, or until a frame arrives by radio. Pass a frame to
    `Gateway.handle_radio` at once, at any time.
-2. From `wake_ns` on, shortly before the slot: pass the datagrams in the flows' ports to
-   `handle_datagrams`. Then call `handle_ready`, and wait for `deadline_ns`.
-3. At `deadline_ns`: pass the samples in the haptic port to `handle_slot`.
-4. Send `Gateway.poll_transmit` by radio until it is None.
-5. Send `poll_backlog` to the sender of video.
-6. Collect figures when `poll_metrics` says so.
+2. At `deadline_ns`: pass the datagrams in the flows' ports to `handle_datagrams`, then the samples
+   in the haptic port to `handle_slot`.
+3. Send `Gateway.poll_transmit` by radio until it is None.
+4. Send `poll_backlog` to the sender of video.
+5. Collect figures when `poll_metrics` says so.
 """
 
 from collections.abc import Iterable
 from itertools import islice
 
-from kontur_av.clock import NS_PER_MS, NS_PER_US
+from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.link.gateway import Backlog, BacklogReporter, Gateway
 
@@ -26,36 +25,11 @@ METRICS_NS = 100 * NS_PER_MS
 #: Longest time that figures take; this much of a slot must remain.
 METRICS_COST_NS = NS_PER_MS // 2
 
-#: Steps of the margin, and its bound. One wake-up in four is later than the margin.
-_SHRINK_NS = 100
-_GROW_NS = 3 * _SHRINK_NS
-_MOST_NS = 60 * NS_PER_US
-
-
-class WakeMargin:
-    """How long before a deadline to wake up, so that it is usually not missed.
-
-    It follows the 75 % quantile of the wake-up latency, by the stochastic approximation of Robbins
-    and Monro (1951). A higher quantile would cost more waiting than it gains.
-
-    ns: the margin, at most 60 µs. A longer delay means that the process was held up.
-    """
-
-    def __init__(self) -> None:
-        self.ns = 0
-
-    def handle_wakeup(self, late_ns: int) -> None:
-        """The process was ready `late_ns` after the instant at which it had asked to wake up."""
-        if late_ns > self.ns:
-            self.ns = min(self.ns + _GROW_NS, _MOST_NS)
-        else:
-            self.ns = max(self.ns - _SHRINK_NS, 0)
-
 
 class GatewaySlots:
     """The slots of `gateway`, the first of them at `first_ns`; see the module for the run loop.
 
-    deadline_ns: when the next slot begins. wake_ns: when to wake up for it.
+    deadline_ns: when the next slot begins.
     metrics_ns: before this instant `poll_metrics` is False.
     schedule: counts slots and slips.
     """
@@ -69,16 +43,15 @@ class GatewaySlots:
         slot_ns = gateway.sender.profile.slot_ns
         self.schedule = PeriodicSchedule(start_ns=first_ns, period_ns=slot_ns)
         self._handle_wakeup = self.schedule.handle_wakeup
-        self.margin = WakeMargin()
         self._reporter = BacklogReporter(gateway)
         self._slot_ns = slot_ns
         self.metrics_ns = 0
-        self.deadline_ns = self.wake_ns = first_ns
+        self.deadline_ns = first_ns
 
     def poll_timeout(self) -> int:
         """When to wake up next: for a slot, or because a frame leaves the radio path."""
-        due_ns, wake_ns = self._radio_due_ns(), self.wake_ns
-        return wake_ns if due_ns is None or due_ns > wake_ns else due_ns
+        due_ns, deadline_ns = self._radio_due_ns(), self.deadline_ns
+        return deadline_ns if due_ns is None or due_ns > deadline_ns else due_ns
 
     def handle_datagrams(self, datagrams: Iterable[tuple[str, bytes | None]], now_ns: int) -> None:
         """Take the datagrams in the flows' ports as pairs of flow and payload.
@@ -90,10 +63,6 @@ class GatewaySlots:
         for flow, data in islice(datagrams, MOST_DATAGRAMS):
             if data is not None:
                 handle_datagram(flow, data, now_ns)
-
-    def handle_ready(self, now_ns: int) -> None:
-        """All work before the slot is done; the margin adapts to this instant."""
-        self.margin.handle_wakeup(now_ns - self.wake_ns)
 
     def handle_slot(self, samples: Iterable[bytes | None], now_ns: int) -> int:
         """Run a slot; return how late it is (ns). Negative: too early, nothing happened.
@@ -107,9 +76,8 @@ class GatewaySlots:
         for sample in islice(samples, MOST_DATAGRAMS):
             if sample is not None:
                 handle_haptic(sample, now_ns)
-        self._handle_slot(now_ns)
         self.deadline_ns = deadline_ns = self.schedule.next_deadline_ns
-        self.wake_ns = deadline_ns - self.margin.ns
+        self._handle_slot(now_ns, deadline_ns - self._slot_ns)
         return late_ns
 
     def poll_backlog(self) -> Backlog | None:

@@ -45,7 +45,12 @@ ALLOWED = {
     "pipelines/virtual/simulate.py": {"_run"},
     "pipelines/session/launcher.py": {"load_libraries", "keep_memory"}
     | {f"Launcher.{name}" for name in ("run", "_start", "_become_child")},
-    "pipelines/session/process.py": {"become", "take_realtime", "Collections.handle_flush"},
+    "pipelines/session/process.py": {
+        "become",
+        "take_realtime",
+        "_judge_share",
+        "Collections.handle_flush",
+    },
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
     # In a program of its own, before it begins.
     "pipelines/upkeep/requests.py": {"_end_with_the_keeper"},

@@ -99,7 +99,7 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
         for size in (0, 1, 12, 32, 500, 1400, 9000):
             anyone.sendto(os.urandom(size), ("127.0.0.1", port))
             anyone.sendto(bytes(size), ("127.0.0.1", port))
-    link.wait_for_line("unknown_senders")
+    link.wait_for_line("unknown senders")
     for name in ("uplink_maintenance", "downlink_maintenance"):
         until_through(anyone, ("127.0.0.1", session.entry_port(name)), exits[name], b"still there")
     assert link.children() == children

@@ -1,20 +1,24 @@
-"""Sockets of this machine: whose datagrams are accepted, and which session a question reaches."""
+"""Sockets of this machine: whose datagrams are accepted, and how a process is asked."""
 
+import asyncio
 import socket
 import tempfile
 import threading
-from contextlib import closing
+from contextlib import ExitStack, closing
+from types import SimpleNamespace
 
 import msgspec
 import pytest
 from common import TIMEOUT_S
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.session import datagrams, terminals
+from pipelines.session import datagrams, requests
+from pipelines.session.probe import Probe
+from pipelines.session.requests import request_socket, running_sessions
 from pipelines.session.sessions import hold_session
-from pipelines.session.terminals import request_socket, running_sessions, send_request
 
-DESK = "trainer"
+SERVICE = "trainer"
 
 
 @pytest.fixture
@@ -71,11 +75,11 @@ def test_a_port_accepts_only_the_host_of_the_programs(sockets):
     # On loopback every program of this machine is accepted.
     for host, taken, refused in (
         ("127.0.0.3", [None, b"a pro", b"", None], 1),
-        ("127.0.0.1", [b"a str", b"a pro", b"", None], 0),
+        ("127.0.0.1", [b"unkno", b"a pro", b"", None], 0),
     ):
         inlet = datagrams.Inlet(("127.0.0.1", 0), host)
         with closing(inlet.udp):
-            for address, data in (("4", b"a unknown sender"), ("3", b"a program"), ("3", b"")):
+            for address, data in (("4", b"unknown sender"), ("3", b"a program"), ("3", b"")):
                 sockets(f"127.0.0.{address}").sendto(data, inlet.udp.getsockname())
             assert [inlet.receive(5) for _ in range(4)] == taken
             assert inlet.unknown_senders == refused
@@ -103,7 +107,7 @@ def directory(monkeypatch):
     """Not tmp_path, because the path of a socket must be short."""
     with tempfile.TemporaryDirectory(prefix="kav") as path:
         monkeypatch.setenv("TMPDIR", path)
-        monkeypatch.setattr(terminals, "_TIMEOUT_S", TIMEOUT_S)
+        monkeypatch.setattr(requests, "_TIMEOUT_S", TIMEOUT_S)
         yield path
 
 
@@ -125,105 +129,131 @@ def test_a_sessions_own_socket_belongs_to_one_process_and_samples_reach_it_in_an
     assert to_robot.failed == 3
 
 
-class Line(msgspec.Struct):
-    text: str = "ask"
+class Question(msgspec.Struct, tag=True):
+    number: int = 1
+
+
+class Pause(msgspec.Struct, tag=True):
+    """Answered never."""
+
+
+class Reply(msgspec.Struct, frozen=True, tag=True):
+    text: str
 
 
 @pytest.fixture
 def service(directory):
-    """desk(session, answer): a listening socket; returns the lines that it received."""
-    listeners = []
+    """service(session, text): a process that answers `text`; returns its server."""
+    with ExitStack() as stack:
 
-    def listen(session, answer=b'{"text": "done"}\n'):
-        path = request_socket(session, DESK)
-        path.parent.parent.mkdir(mode=0o700, exist_ok=True)
-        path.parent.mkdir()
-        listener = socket.socket(socket.AF_UNIX)
-        listener.bind(str(path))
-        listener.listen()
-        listeners.append(listener)
-        asked = []
+        def answer(request, text):
+            if isinstance(request, Pause):
+                return None
+            if request.number < 0:
+                raise ConfigError("take a number above 0")
+            return Reply(text)
 
-        def run():
+        def begin(session, text="done"):
+            process = SimpleNamespace(session=session, probe=Probe(), on_flush=lambda _fill: None)
+            take = lambda request, _: answer(request, text)  # noqa: E731
+            server = requests.RequestServer(process, SERVICE, Question | Pause, take)
+            ended = threading.Event()
+
+            def run():
+                while not ended.is_set():
+                    server.serve(NS_PER_MS)
+                server.close()
+
+            thread = threading.Thread(target=run)
+            thread.start()
+            server.end = lambda: (ended.set(), thread.join())
+            stack.callback(server.end)
+            return server
+
+        yield begin
+
+
+def ask(session="lab-1", request=None, **more):
+    return requests.ask(session, SERVICE, request or Question(), Reply, **more)
+
+
+def test_a_slow_process_is_told_from_one_that_has_gone_and_from_one_that_refuses(service):
+    with pytest.raises(ConnectionError, match="trainer is not running"):
+        ask()
+    server = service("lab-1")
+    assert ask() == Reply("done")
+    with pytest.raises(ConfigError, match="take a number above 0"):
+        ask(request=Question(-1))
+    with pytest.raises(TimeoutError, match=r"trainer has not answered for 0\.1 s"):
+        ask(request=Pause(), timeout_s=0.1)
+    with requests.RequestClient("lab-1", SERVICE) as client:
+        assert [client.ask(Question(), Reply) for _ in range(3)] == [Reply("done")] * 3
+        server.end()
+        with pytest.raises(ConnectionError, match="trainer has ended before it answered"):
+            client.ask(Question(), Reply)
+    restarting = threading.Timer(0.2, service, ["lab-1", "again"])
+    restarting.start()
+    assert ask(return_s=TIMEOUT_S) == Reply("again")
+    restarting.join()
+
+
+def test_an_event_loop_asks_alike(service):
+    def said(request, **more):
+        return asyncio.run(requests.ask_async("lab-1", SERVICE, request, Reply, **more))
+
+    with pytest.raises(ConnectionError, match="trainer is not running"):
+        said(Question())
+    service("lab-1")
+    assert said(Question()) == Reply("done")
+    with pytest.raises(ConfigError, match="take a number above 0"):
+        said(Question(-1))
+    with pytest.raises(TimeoutError):
+        said(Pause(), timeout_s=0.1)
+
+
+def test_garbage_and_a_crowd_are_refused_and_end_nothing(service):
+    server = service("lab-1")
+    garbage = (b"\xc1", b"\x81" * 5000, bytes(requests.MAX_MESSAGE_OCTETS + 9), b"[[[[")
+    with ExitStack() as stack:
+        for octets in garbage:
+            with requests.RequestClient("lab-1", SERVICE) as client:
+                client._link.send(octets)
+                refusal = msgspec.msgpack.decode(client._link.recv(9999))
+                assert refusal["type"] == "RequestRefused" and "request" in refusal["text"]
+                # The connection is still good.
+                assert client.ask(Question(), Reply) == Reply("done")
+        assert server._refused == len(garbage)
+        assert requests.post("lab-1", SERVICE, b"")
+        kept = stack.enter_context(requests.RequestClient("lab-1", SERVICE))
+        for _ in range(3 * requests.MOST_CONNECTIONS):
+            stack.enter_context(requests.RequestClient("lab-1", SERVICE))
+            # Who asks is not the one that is closed.
+            assert kept.ask(Question(), Reply) == Reply("done")
+        # A client that reads no answers is closed.
+        deaf = stack.enter_context(requests.RequestClient("lab-1", SERVICE))
+        with pytest.raises(ConnectionError):
             while True:
-                try:
-                    link, _ = listener.accept()
-                except OSError:
-                    return
-                with link:
-                    link.settimeout(TIMEOUT_S)
-                    line = link.makefile("rb").readline()
-                    if line:
-                        asked.append(line)
-                        link.sendall(answer)
-
-        threading.Thread(target=run, daemon=True).start()
-        return asked
-
-    yield listen
-    for listener in listeners:
-        listener.shutdown(socket.SHUT_RDWR)
-        listener.close()
+                deaf._link.send(msgspec.msgpack.encode(Question()))
+    assert ask() == Reply("done")
 
 
-def ask(session=None, name=DESK):
-    return send_request(name, Line(), Line, session, missing="nobody trains here")
-
-
-def test_the_only_session_is_asked_and_one_that_dies_answers_nothing(service):
-    asked = service("taskboard-41")
-    assert ask() == Line("done")
-    assert asked == [b'{"text":"ask"}\n']
-    with pytest.raises(ConfigError, match="nobody trains here"):
-        ask(name="owner")
-    service("spacejustin-42", b"")
-    # The setup's name selects its only session.
-    assert ask("taskboard") == Line("done")
-    assert ask("spacejustin") is None
-
-
-def test_with_several_sessions_a_name_is_required(service):
-    service("taskboard-41")
-    service("taskboard-42", b'{"text": "second"}\n')
-    assert sorted(running_sessions(DESK)) == ["taskboard-41", "taskboard-42"]
-    several = r"several .* taskboard-41, taskboard-42 with --session"
-    for session, says in (
-        ("lab", r"no session lab is running: .*taskboard-42"),
-        ("taskboard", several),
-        (None, several),
-    ):
-        with pytest.raises(ConfigError, match=says):
-            ask(session)
-    assert ask("taskboard-42") == Line("second")
-
-
-@pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
-def test_a_killed_session_is_ignored_and_sockets_of_datagrams_are_found(service, kind):
-    service("one")
-    request_socket("dead", DESK).parent.mkdir(parents=True)
-    with socket.socket(socket.AF_UNIX, kind) as dead:
-        dead.bind(str(request_socket("dead", DESK)))
-    assert running_sessions(DESK) == ["one"]
-    assert ask() == Line("done")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
-        link.bind(str(request_socket("one", "tmtc.space")))
-        assert running_sessions("tmtc.space") == ["one"]
+def test_only_running_sessions_are_found(service):
+    for name in ("lab-1", "lab-2"):
+        service(name)
+    request_socket("dead", SERVICE).parent.mkdir(parents=True)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as dead:
+        dead.bind(str(request_socket("dead", SERVICE)))
+    assert sorted(running_sessions(SERVICE)) == ["lab-1", "lab-2"]
+    assert running_sessions("arm") == []
 
 
 def test_a_process_that_is_restarted_is_waited_for(service):
-    service("other", b"")
+    service("other")
     with hold_session("lab") as session:
-        path = request_socket(session, DESK)
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as killed:
+        path = request_socket(session, SERVICE)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
             killed.bind(str(path))
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as again:
-
-            def restart():
-                path.unlink()
-                again.bind(str(path))
-                again.listen()
-
-            restarting = threading.Timer(0.2, restart)
-            restarting.start()
-            assert session in running_sessions(DESK)
-            restarting.join()
+        restarting = threading.Timer(0.2, service, [session])
+        restarting.start()
+        assert session in running_sessions(SERVICE)
+        restarting.join()

@@ -10,7 +10,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.cli import main
-from pipelines.report.model import CodingCosts
+from pipelines.media.media_metrics import CodingCosts
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import simulate

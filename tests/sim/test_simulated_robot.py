@@ -80,7 +80,8 @@ def events(session):
 
 def test_the_joystick_is_halted_tested_and_resumed_and_the_robot_rests_meanwhile():
     session = Session(answers=False, joystick=SimulatedDevice(hand=Hand()))
-    handle, robot = session.simulation.tmtc._handle, session.simulation.robot_commands.control.robot
+    handle = session.simulation._joystick.side.handle
+    robot = session.simulation.robot_commands.control.robot
     while handle.state != JoystickState.APPLICATION and session.now_ns < 30 * 10**9:
         session.run(0.5)
     assert call(session, 1, "halt", joystick=True) == ""

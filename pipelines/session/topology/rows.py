@@ -21,8 +21,9 @@ from telepresence.link.profile import LinkProfile
 
 #: Real-time priorities. The 1 kHz loops come first, then voices: a late voice needs a larger
 #: playout buffer. Then the recorder: what it does not read within 0.6 s is lost for ever, and a
-#: picture that waits for it is only late.
-LOOP_PRIORITY, VOICE_PRIORITY, RECORDER_PRIORITY = 10, 5, 1
+#: picture that waits for it is only late. Then pictures, as long as they take little
+#: (`process.RealtimeShare`).
+LOOP_PRIORITY, VOICE_PRIORITY, RECORDER_PRIORITY, PICTURE_PRIORITY = 10, 5, 4, 3
 #: Below all others, for processes that only show a session to other programs.
 WATCHER_PRIORITY = -1
 

@@ -9,19 +9,75 @@ from heapq import merge
 from itertools import count
 from math import log, log1p, pi, sin
 from random import Random
-from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ConfigError
 from telepresence.link.link_metrics import ChannelMetrics
 from telepresence.link.radio.contact import ContactFading
-
-if TYPE_CHECKING:
-    from telepresence.link.radio.profile import Bursts, RadioProfile, RandomBlackouts
 
 #: The states of bursts change at the start of a slot.
 SLOT_NS = NS_PER_MS
 #: Later than the end of any session.
 FOREVER_NS = 1 << 62
+
+
+def within(name: str, value: float, least: float, most: float) -> None:
+    """ConfigError for a value out of its bounds."""
+    if not least <= value <= most:
+        raise ConfigError(f"{name} is {value:g}: it must be from {least:g} to {most:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadyRadio:
+    """What a radio does to frames all the time.
+
+    delay_ms: one-way delay. With a `contact` it is the equipment's, in addition to the light time.
+    delay_swing_ms, delay_period_s: amplitude and period of a slow swing of the delay.
+    frame_loss, bit_error_rate: permanent probabilities.
+    start_s: how long after its acquisition of signal a contact is at the start.
+    """
+
+    name: str
+    delay_ms: float = 0.0
+    delay_swing_ms: float = 0.0
+    delay_period_s: float = 60.0
+    frame_loss: float = 0.0
+    bit_error_rate: float = 0.0
+    start_s: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bursts:
+    """Bursts of errors, independent in each direction (`BurstClock`).
+
+    gap_s, mean_ms: mean time between two bursts, and mean length of one.
+    frame_loss, bit_error_rate: probabilities within a burst.
+    """
+
+    gap_s: float
+    mean_ms: float
+    frame_loss: float = 0.0
+    bit_error_rate: float = 0.0
+
+    def __post_init__(self) -> None:
+        within("bursts.gap_s", self.gap_s, 0.001, 1e6)
+        within("bursts.mean_ms", self.mean_ms, 1, 1e6)
+        within("bursts.frame_loss", self.frame_loss, 0, 1)
+        within("bursts.bit_error_rate", self.bit_error_rate, 0, 0.5)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomBlackouts:
+    """Random blackouts of both directions: exponential gaps, uniform lengths."""
+
+    gap_s: float
+    shortest_s: float
+    longest_s: float
+
+    def __post_init__(self) -> None:
+        within("random_blackouts.gap_s", self.gap_s, 0.001, 1e6)
+        within("random_blackouts.shortest_s", self.shortest_s, 0.001, 1e6)
+        within("random_blackouts.longest_s", self.longest_s, self.shortest_s, 1e6)
 
 
 class BurstClock:
@@ -32,7 +88,7 @@ class BurstClock:
     Each stay is drawn as a whole, so the states depend on time and seed, not on the requests.
     """
 
-    def __init__(self, bursts: "Bursts", random: Random) -> None:
+    def __init__(self, bursts: Bursts, random: Random) -> None:
         self.frame_loss, self.bit_error_rate = bursts.frame_loss, bursts.bit_error_rate
         mean_ns = bursts.gap_s * NS_PER_S, bursts.mean_ms * NS_PER_MS
         self._mean_slots = tuple(stay_ns / SLOT_NS for stay_ns in mean_ns)
@@ -55,7 +111,7 @@ class BurstClock:
         return slots * SLOT_NS
 
 
-def random_windows(random: Random, dark: "RandomBlackouts") -> Iterator[tuple[int, int]]:
+def random_windows(random: Random, dark: RandomBlackouts) -> Iterator[tuple[int, int]]:
     """Yield start and end (ns) of random blackouts: exponential gaps, uniform lengths."""
     end_ns = 0
     for _ in count():
@@ -129,7 +185,7 @@ class RadioChannel:
 
     def __init__(
         self,
-        profile: "RadioProfile",
+        profile: SteadyRadio,
         direction: str,
         *,
         bursts: BurstClock | None,

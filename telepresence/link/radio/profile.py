@@ -8,32 +8,21 @@ from typing import Literal
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, refused
 from telepresence.link.link_metrics import ContactWindows
-from telepresence.link.radio.channel import BlackoutClock, BurstClock, RadioChannel, random_windows
+from telepresence.link.radio.channel import (
+    BlackoutClock,
+    BurstClock,
+    Bursts,
+    RadioChannel,
+    RandomBlackouts,
+    SteadyRadio,
+    random_windows,
+    within,
+)
 from telepresence.link.radio.contact import Contact, ContactFading
 from telepresence.link.radio.orbit import Overflight, parse_elements, parse_utc
 from telepresence.link.radio.path import RadioPath
 
 Direction = Literal["uplink", "downlink"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bursts:
-    """Bursts of errors, independent in each direction (`BurstClock`).
-
-    gap_s, mean_ms: mean time between two bursts, and mean length of one.
-    frame_loss, bit_error_rate: probabilities within a burst.
-    """
-
-    gap_s: float
-    mean_ms: float
-    frame_loss: float = 0.0
-    bit_error_rate: float = 0.0
-
-    def __post_init__(self) -> None:
-        _within("bursts.gap_s", self.gap_s, 0.001, 1e6)
-        _within("bursts.mean_ms", self.mean_ms, 1, 1e6)
-        _within("bursts.frame_loss", self.frame_loss, 0, 1)
-        _within("bursts.bit_error_rate", self.bit_error_rate, 0, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +34,8 @@ class Blackout:
     direction: str = "both"
 
     def __post_init__(self) -> None:
-        _within("blackouts.start_s", self.start_s, 0, 1e6)
-        _within("blackouts.seconds", self.seconds, 0.001, 1e6)
+        within("blackouts.start_s", self.start_s, 0, 1e6)
+        within("blackouts.seconds", self.seconds, 0.001, 1e6)
         if self.direction not in ("both", "uplink", "downlink"):
             raise ConfigError(
                 f'blackouts.direction is "{self.direction}": take both, uplink or downlink'
@@ -54,57 +43,32 @@ class Blackout:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RandomBlackouts:
-    """Random blackouts of both directions: exponential gaps, uniform lengths."""
-
-    gap_s: float
-    shortest_s: float
-    longest_s: float
-
-    def __post_init__(self) -> None:
-        _within("random_blackouts.gap_s", self.gap_s, 0.001, 1e6)
-        _within("random_blackouts.shortest_s", self.shortest_s, 0.001, 1e6)
-        _within("random_blackouts.longest_s", self.longest_s, self.shortest_s, 1e6)
-
-
-@dataclass(frozen=True, kw_only=True)
-class RadioProfile:
+class RadioProfile(SteadyRadio):
     """What a radio does to frames. Both directions are alike, except for one-way `blackouts`.
 
     name, description: for reports and lists.
-    delay_ms: one-way delay. With a `contact` it is the equipment's, in addition to the light time.
-    delay_swing_ms, delay_period_s: amplitude and period of a slow swing of the delay.
-    frame_loss, bit_error_rate: permanent probabilities.
     bursts, blackouts, random_blackouts, contact: additional effects, if any.
-    start_s: how long after its acquisition of signal a contact is at the start.
     """
 
-    name: str
     description: str = ""
-    delay_ms: float = 0.0
-    delay_swing_ms: float = 0.0
-    delay_period_s: float = 60.0
-    frame_loss: float = 0.0
-    bit_error_rate: float = 0.0
     bursts: Bursts | None = None
     blackouts: tuple[Blackout, ...] = ()
     random_blackouts: RandomBlackouts | None = None
     contact: Contact | None = None
-    start_s: float = 0.0
 
     def __post_init__(self) -> None:
-        _within("delay_ms", self.delay_ms, 0, 10_000)
-        _within("delay_swing_ms", self.delay_swing_ms, 0, self.delay_ms)
-        _within("delay_period_s", self.delay_period_s, 0.1, 1e6)
+        within("delay_ms", self.delay_ms, 0, 10_000)
+        within("delay_swing_ms", self.delay_swing_ms, 0, self.delay_ms)
+        within("delay_period_s", self.delay_period_s, 0.1, 1e6)
         if 2 * pi * self.delay_swing_ms > 100 * self.delay_period_s:
             least = 2 * pi * self.delay_swing_ms / 100
             raise ConfigError(
                 f"delay_period_s is {self.delay_period_s:g}: a swing of {self.delay_swing_ms:g} ms "
                 f"needs at least {least:.3g}, or the delay would change by more than 10 %"
             )
-        _within("frame_loss", self.frame_loss, 0, 1)
-        _within("bit_error_rate", self.bit_error_rate, 0, 0.5)
-        _within("start_s", self.start_s, -1e6, 1e6)
+        within("frame_loss", self.frame_loss, 0, 1)
+        within("bit_error_rate", self.bit_error_rate, 0, 0.5)
+        within("start_s", self.start_s, -1e6, 1e6)
         if self.contact is not None:
             _check_contact(self.contact)
 
@@ -158,11 +122,6 @@ class RadioProfile:
         return ContactFading(self.contact, seed=0).windows() if self.contact else None
 
 
-def _within(name: str, value: float, least: float, most: float) -> None:
-    if not least <= value <= most:
-        raise ConfigError(f"{name} is {value:g}: it must be from {least:g} to {most:g}")
-
-
 _CONTACT_LIMITS = {
     "least_peak_deg": (0, 90),
     "latitude_deg": (-90, 90),
@@ -181,7 +140,7 @@ _CONTACT_LIMITS = {
 
 def _check_contact(contact: Contact) -> None:
     for name, (least, most) in _CONTACT_LIMITS.items():
-        _within(f"contact.{name}", getattr(contact, name), least, most)
+        within(f"contact.{name}", getattr(contact, name), least, most)
     with refused("contact.elements", ConfigError):
         parse_elements(contact.elements)
     if parse_utc(contact.after) is None:

@@ -62,6 +62,7 @@ REFUSED = [
     ("latency --seconds 0", "--seconds 0"),
     ("latency --live-seconds 0.5", "--live-seconds 0.5"),
     ("latency --radio nowhere", "nowhere"),
+    ("latency --load 65", "--load 65"),
     ("latency --base-port 80", "base port 80"),
     ("latency --plot lead.jpg", "--plot"),
     ("latency --no-live --live-seconds 3", "--live-seconds"),

@@ -1,13 +1,16 @@
 """`kontur-av file`: how it follows a transfer."""
 
+from unittest.mock import Mock
+
 import pytest
 
 from pipelines.cli import main
 from pipelines.commands import file
-from pipelines.session.terminal_lines import FileAnswer
+from pipelines.session.transfer_requests import FileAnswer
 
-UNDER_WAY = FileAnswer(ok=True, number=7, state="sending", octets=5, size=5)
-DONE = FileAnswer(ok=True, number=7, state=file.DONE, octets=5, size=5)
+UNDER_WAY = FileAnswer(number=7, state="sending", octets=5, size=5)
+SLOW = TimeoutError()
+DONE = FileAnswer(number=7, state=file.DONE, octets=5, size=5)
 
 
 class Time:
@@ -26,19 +29,19 @@ class Time:
 @pytest.mark.parametrize(
     ("answers", "code", "says"),
     [
-        # None stands for a question without an answer: a pause of the session is outlived.
-        ([UNDER_WAY, *[None] * 8, UNDER_WAY, *[None] * 8, DONE], 0, ""),
-        ([None], 1, "the session has not answered"),
-        ([UNDER_WAY, *[None] * 20], 1, "the session has not answered"),
+        # SLOW stands for a question without an answer: a pause of the session is outlived.
+        ([UNDER_WAY, *[SLOW] * 8, UNDER_WAY, *[SLOW] * 8, DONE], 0, ""),
+        ([SLOW], 1, "the session has not answered"),
+        ([UNDER_WAY, *[SLOW] * 20], 1, "the session has not answered"),
     ],
 )
 def test_a_session_that_stays_silent_is_a_failure_and_a_pause_is_none(
     monkeypatch, capsys, answers, code, says
 ):
-    given = iter(answers)
+    ask = Mock(side_effect=answers)
     monkeypatch.setattr(file, "time", Time())
     monkeypatch.setattr(file, "running_sessions", lambda _service: ["s"])
     monkeypatch.setattr(file, "acting_on", lambda *_: "s")
-    monkeypatch.setattr(file, "send_request", lambda *_, **__: next(given))
+    monkeypatch.setattr(file, "ask", ask)
     assert main(["file", "put", "a.txt"]) == code
     assert says in capsys.readouterr().err

@@ -10,8 +10,9 @@ import pytest
 from pipelines.cli import main
 from pipelines.commands import common, stop, tc
 from pipelines.hand import safety_ends
-from pipelines.mission.tmtc_socket import tmtc_path, tmtc_socket_name
+from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.kept_files import KeptOrders
+from pipelines.session.requests import request_socket
 from pipelines.session.sessions import hold_session
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -70,10 +71,10 @@ def test_a_release_across_the_radio_asks_the_robot_and_one_here_waits_for_it(
     out, error = capsys.readouterr()
     assert f"{lab}: {silent[0]}" in error and "released" not in out
     # The other end, which the robot is at, may have ordered it.
-    tmtc_path(lab, Segment.SPACE).touch()
+    request_socket(lab, tmtc_socket_name(Segment.SPACE)).touch()
     assert main(["stop", "--release"]) == 1
     assert asked == [("robot", ["release_stop"])]
-    tmtc_path(lab, Segment.GROUND).touch()
+    request_socket(lab, tmtc_socket_name(Segment.GROUND)).touch()
     assert main(["stop", "--release"]) == 0 and "no emergency stop" in capsys.readouterr().out
 
 

@@ -4,35 +4,27 @@ from types import SimpleNamespace
 
 import pytest
 
+from kontur_av.errors import ConfigError
 from pipelines.mission import process_tasks
 from pipelines.mission.process_tasks import RunFiles
-from pipelines.session.terminal_lines import START, STOP, RecordAnswer
+from pipelines.session.recording_requests import StartRecording, StopRecording
 
 
 class Recorder:
     """What a session's recorder answers."""
 
     def __init__(self, file=""):
-        self.file, self.files, self.deaf = file, [], 0
+        self.file, self.files = file, []
 
-    def link(self, session):
-        if self.deaf:
-            self.deaf -= 1
-            raise ConnectionRefusedError
-        return self
-
-    def ask(self, request):
-        if request.record == START:
+    def ask(self, _session, _service, request, kind, **_):
+        if isinstance(request, StartRecording):
             if self.file:
-                return RecordAnswer(ok=False, error=f"recorded already, to {self.file}")
+                raise ConfigError(f"recorded already, to {self.file}")
             self.file = request.options.file
             self.files.append(self.file)
-        elif request.record == STOP:
+        elif isinstance(request, StopRecording):
             self.file = ""
-        return RecordAnswer(ok=True, file=self.file)
-
-    def close(self):
-        pass
+        return kind(file=self.file)
 
 
 class AtOnce:
@@ -49,9 +41,9 @@ class AtOnce:
 @pytest.fixture
 def recorder(monkeypatch):
     found = Recorder()
-    monkeypatch.setattr(process_tasks, "RecorderLink", found.link)
+    monkeypatch.setattr(process_tasks, "ask", found.ask)
     monkeypatch.setattr(process_tasks, "queue", SimpleNamespace(Queue=AtOnce))
-    no_time = SimpleNamespace(sleep=lambda _: None, monotonic=lambda: 0.0)
+    no_time = SimpleNamespace(sleep=lambda _: None)
     monkeypatch.setattr(process_tasks, "time", no_time)
     return found
 
@@ -67,7 +59,7 @@ def do(*runs):
 
 
 def test_each_run_has_a_file_also_after_one_that_an_earlier_life_left_open(recorder):
-    recorder.file, recorder.deaf = "/runs/run-001-line.mcap", 2
+    recorder.file = "/runs/run-001-line.mcap"
     files = do(2, 3)
     assert recorder.files == ["/runs/run-002-line.mcap", "/runs/run-003-line.mcap"]
     assert recorder.file == "" and files.unrecorded == 0

@@ -214,10 +214,10 @@ def test_each_state_is_a_choice_of_its_parameter(parameter, states):
 
 def test_the_robot_answers_its_functions_and_a_fault_is_an_event(ground, robot):
     space = ground
-    assert robot.handle_asked(FunctionAsked("tasks", 1, "power_on")) is None
+    assert robot.handle_asked(FunctionAsked("tasks", 1, "power_on"), 0) is None
     news = space.ask("robot", "call", "set_mode", "position")
     (asked,) = [one for one in news if isinstance(one, FunctionAsked)]
-    command = robot.handle_asked(asked)
+    command = robot.handle_asked(asked, 0)
     assert (command.function, command.mode) == ("set_mode", "position")
     robot.handle_status(robot_status(commanded=command.number - 1), space.now_ns)
     assert not ended(space.news())

@@ -117,7 +117,7 @@ def test_the_summary_shows_the_metrics_of_the_report():
     for ledger in ledgers:
         shares = re.findall(r" ([\d.]+)", ledger)
         assert round(sum(map(float, shares)), 6) == 100
-    assert "from strangers: radio 4" in text
+    assert "from unknown senders: radio 4" in text
 
 
 def test_a_refusal_is_shown_with_its_reason_and_one_end_alone_reports_its_half():

@@ -8,17 +8,20 @@ from told import gateway, message
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.recording.recorder_metrics import RecordedChannel, RecorderMetrics
 from pipelines.report.collector import Collector
+from pipelines.report.event_log import EventLog
 from pipelines.report.sections import recorder_warnings
 from pipelines.report.warnings import (
     find_path_warnings,
+    find_warnings,
     hand_warnings,
     loop_warnings,
     picture_warnings,
     restart_warning,
 )
-from pipelines.session.session_switch import NO_ROOM
+from pipelines.session.session_switch import NO_ROOM, SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
+from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
 from telepresence.link.clock_exchange import ClockExchange
 from telepresence.link.peer_path import OpenPath
@@ -63,6 +66,26 @@ def test_loops_restarts_open_paths_and_long_round_trips_are_warned_of():
     assert "504 ms" in measured
     assert warned(15, 15) == warned(252, None) == warned(252, 252, hand="auto") == []
     assert warned(252, 252, partner_arm="shared") == []
+
+
+def test_a_coder_that_gave_up_its_priority_is_warned_of_and_told_once():
+    collector = Collector(topology_of(BUILT_IN["taskboard"]))
+    coder = collector.topology.media("uplink_video").sender
+    restarts = dict.fromkeys(("robot", coder), 0)
+    events = EventLog(collector)
+    told = []
+    for scheduler in ("fifo", "too_busy", "too_busy"):
+        for name in restarts:
+            busy = scheduler if name == coder else "fifo"
+            collector.handle_message(name, message(scheduler=busy), 1)
+        processes = [ProcessNow(name=name, restarts=0, running=True, error="") for name in restarts]
+        events.handle_look(processes, switch=SessionSwitch(), started_ns=0, now_ns=len(told))
+        told.append([event.text for event in events.events])
+    words = "takes more than half a core: it goes on without real-time priority"
+    assert told == [[]] + 2 * [[f"{coder} {words}"]]
+    (warning,) = find_warnings(collector, seconds=1.0, restarts=restarts)
+    assert (warning.what, warning.where) == ("priority_given_up", coder)
+    assert "smaller pictures" in warning.fix
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,14 @@
 
 import os
 
+import msgspec
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.files.file_requests import FileRequests
 from pipelines.seats.upkeep_watch import Transfers, software_in
-from pipelines.session import terminal_lines
+from pipelines.session.requests import MAX_MESSAGE_OCTETS
 from pipelines.session.setup.segments import Segment
+from pipelines.session.transfer_requests import STATUS, FileRequest
 from telepresence.files.entity import FileEntity, Transfer
 from telepresence.upkeep.inbox import TOLD, UpdateInbox
 
@@ -18,15 +21,10 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
     service, transfers = FileRequests(entity), Transfers()
 
     def answered(now_ns):
-        return service.handle_request(
-            terminal_lines.FileRequest(file=terminal_lines.STATUS), b"", "", now_ns
-        )
+        return service.handle_request(FileRequest(file=STATUS), b"", "", now_ns)
 
     def status(now_ns):
-        said = terminal_lines.parse_line(
-            terminal_lines.pack_line(answered(now_ns)), terminal_lines.FileAnswer
-        )
-        return transfers.handle_list(GROUND, said.transfers, now_ns)
+        return transfers.handle_list(GROUND, answered(now_ns).transfers, now_ns)
 
     assert status(0) == []
     entity.put("a name.bin", "", bytes(40_000), 0)
@@ -49,12 +47,11 @@ def test_the_list_of_files_is_that_of_the_file_transfer():
     # A list of many files fits into one answer.
     entity.transfers.clear()
     for number in range(1 << 31, (1 << 31) + 40):
-        # Where JSON needs the most octets for a name that is allowed.
-        transfer = Transfer(number=number, kind="rename", first='"' * 200, second="")
+        transfer = Transfer(number=number, kind="rename", first="x" * 200, second="")
         entity.transfers[number] = transfer
     answer = answered(2 * NS_PER_S)
     assert len(answer.transfers) + answer.more == 40
-    assert len(terminal_lines.pack_line(answer)) < terminal_lines.MAX_LINE_OCTETS
+    assert len(msgspec.msgpack.encode(answer)) < MAX_MESSAGE_OCTETS
 
 
 def test_what_keepers_told_is_shown_with_where_it_is_from(tmp_path):

@@ -4,13 +4,10 @@ from fractions import Fraction
 
 import av
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from kontur_av.codecs.coding import Coding
-from kontur_av.media import BLOCK_NS
-from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.virtual.studio import Shot, VideoStudio, VoiceStudio
+from pipelines.session.setup.table import VideoStream
+from pipelines.virtual.studio import Shot, VideoStudio
 from telepresence.world import WorldState
 
 SIZE = 64, 48
@@ -45,22 +42,3 @@ def test_a_picture_that_was_drawn_ahead_is_coded_as_one_that_was_not():
             early(Shot("left", number + 1, WorldState(time_ns=0, x_m=(number + 1) / 1000)))
         job = shot, Coding(), None
         assert early(job) == late(job)
-
-
-VOICE = VoiceStream(name="uplink_voice", cap_bps=8_000)
-#: For each block: how long before its end a click began, in ms, at least a sample; None: none did.
-CLICKS = st.lists(st.none() | st.floats(0.03, 30), min_size=2, max_size=12)
-
-
-@given(CLICKS)
-def test_a_sound_is_coded_alike_whether_its_clicks_were_expected_or_not(clicks):
-    guessing, waiting = (VoiceStudio(VOICE, "mic", "scene:ground_voice", 0) for _ in range(2))
-    state, packet = WorldState(time_ns=0), None
-    for number, before_ms in enumerate(clicks, 1):
-        complete_ns = number * BLOCK_NS
-        if before_ms is not None:
-            state = WorldState(time_ns=0, touched_ns=complete_ns - round(before_ms * 1e6))
-        if before_ms is not None or packet is None:
-            packet = guessing((complete_ns, state, False))
-        assert packet == waiting((complete_ns, state, False))
-        packet = guessing((complete_ns + BLOCK_NS, state, True))

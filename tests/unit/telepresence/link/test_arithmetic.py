@@ -26,11 +26,11 @@ VOICE = StreamNeed(name="uplink_voice", payload_bps=8000, packets_per_s=50, leve
 
 
 def test_the_setups_fit():
-    # 93 000 payload; 30*4 + 50*2 octets of headers and resume tags; a whole header a second each;
+    # 93 000 payload; 30*4 + 50*2 octets of headers and resume tags; a whole header each 1.6 s;
     # 568 of reserve for TM/TC and RTCP; five supervision messages of 12 octets in two seconds.
     need = check_fit(UPLINK, [video(85), VOICE])
-    assert need.needed_bps == 93_000 + (30 * 4 + 50 * 2 + 9 + 12) * 8 + 568 + 5 * 12 * 4
-    assert need.spare_bps == 96_000 - need.needed_bps == 264
+    assert need.needed_bps == 93_000 + (30 * 4 + 50 * 2) * 8 + 45 + 60 + 568 + 5 * 12 * 4
+    assert need.spare_bps == 96_000 - need.needed_bps == 327
     assert channel_need(UPLINK, [video(85, packets_per_s=35), VOICE]).fits
     assert channel_need(UPLINK, [video(90, packets_per_s=35)]).fits
 
@@ -108,7 +108,7 @@ def test_no_run_needs_more_than_computed(profile, video_kbps, packets_per_s, voi
     reckoned_bps = channel_need(profile, streams).overhead_bps
     rates = (video_kbps * 1000, packets_per_s, voice_kbps * 1000)
     measured_bps = overhead_bps_of_a_run(profile, *rates)
-    # Two more whole headers of each stream at the start of the 30 s.
-    assert measured_bps <= reckoned_bps + 2 * (9 + 12) * 8 / 30
+    # Up to three more whole headers of each stream, at the start of the 30 s.
+    assert measured_bps <= reckoned_bps + 3 * (9 + 12) * 8 / 30
     # Above that rate the arithmetic assumes a source with many packets a picture.
     assert measured_bps > 0.5 * reckoned_bps or packets_per_s > MOST_COMPRESSED_PER_S

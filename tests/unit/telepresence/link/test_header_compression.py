@@ -34,7 +34,7 @@ STEADY = range(KIND_STEADY, KIND_TIMED)
 SOURCES = {
     "down, on its grid": (VIDEO, 4.2, lambda r: video(r, 60, packets=(3,), wait_ms=(8, 12))),
     "down, 2 to 4 packets": (VIDEO, 4.2, lambda r: video(r, 60, packets=(2, 3, 3, 3, 4))),
-    "down, 180 packets a second": (VIDEO, 4.2, lambda r: video(r, 60, packets=(6,))),
+    "down, 120 packets a second": (VIDEO, 4.2, lambda r: video(r, 60, packets=(4,))),
     "up, on its grid": (VIDEO, 4.4, lambda r: video(r, 60)),
     "up, its clock 200 ppm off": (VIDEO, 4.4, lambda r: video(r, 60, ppm=200)),
     "up, pictures left out": (VIDEO, 4.4, lambda r: video(r, 60, skip=0.02)),
@@ -108,11 +108,11 @@ def test_headers_cost_few_octets_on_average(flow, most, source):
     assert path.octets_a_packet() <= most
 
 
-def test_whole_headers_come_first_and_each_second():
+def test_whole_headers_come_first_and_each_1_6_s():
     path = Path(VOICE)
     kinds = [path.send(*item) for item in islice(voice(Random(1), 3, jitter_ms=0), 120)]
     whole = [number for number, kind in enumerate(kinds) if kind == KIND_WHOLE]
-    assert whole == [0, 1, FIRST_WHOLE - 1, 52, 102]
+    assert whole == [0, 1, FIRST_WHOLE - 1, 82]
     assert all(kind in STEADY for kind in kinds if kind != KIND_WHOLE)
     # The receiver may have restarted.
     path.compressor.restart()
@@ -125,16 +125,16 @@ def test_losses_up_to_the_life_of_a_reference_make_no_other_packet_unreadable(fl
     path = Path(flow)
     source = video if flow is VIDEO else voice
     for count, packet in source(Random(1), 30):
-        path.send(count, packet, arrives=not 4_000 <= count % 10_000 < 8_000)
+        path.send(count, packet, arrives=not 4_000 <= count % 12_000 < 8_800)
     assert len(path.outcomes) > 500 and all(exact for _, _, exact in path.outcomes)
 
 
 def test_after_a_longer_loss_the_next_whole_header_ends_it():
     path = Path(VOICE)
     for count, packet in voice(Random(1), 20):
-        path.send(count, packet, arrives=not 3_000 <= count < 10_000)
+        path.send(count, packet, arrives=not 3_000 <= count < 11_000)
     lost = [count for count, _, exact in path.outcomes if not exact]
-    assert lost and max(lost) - 10_000 < REFRESH_SLOTS
+    assert lost and max(lost) - 11_000 < REFRESH_SLOTS
 
 
 @FLOWS
@@ -160,7 +160,7 @@ def test_a_source_that_changes_is_compressed_again_when_no_reference_is_left(cha
         lost = number in (300, 301, 350)
         kinds.append(path.send(number * 20, rtp(number, timestamp, **fields), arrives=not lost))
     whole = [number for number, kind in enumerate(kinds[300:]) if kind == KIND_WHOLE]
-    assert whole[:200] == list(range(200)) and len(whole) < 240
+    assert whole[:250] == list(range(250)) and len(whole) < 340
     assert all(exact for _, _, exact in path.outcomes)
 
 
@@ -251,7 +251,7 @@ habits = st.fixed_dictionaries(
         "jump_ticks": st.sampled_from([0, 0, 0, 0, 960, 90_000, 1 << 31, -5]),
         "new_source": st.sampled_from([False, False, False, True]),
         "payload_type": st.sampled_from([96, 96, 96, 97]),
-        "gap_slots": st.sampled_from([0, 0, 0, 100, 1_000, 5_200, 5_201, 13_000]),
+        "gap_slots": st.sampled_from([0, 0, 0, 100, 1_000, 6_600, 6_601, 13_000]),
         "loss": st.sampled_from([0.0, 0.0, 0.1, 0.7, 1.0]),
         "event": st.sampled_from(["", "", "", "told", "receiver", "sender"]),
     }

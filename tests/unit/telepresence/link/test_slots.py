@@ -9,7 +9,7 @@ from telepresence.link.flows import Level, packet_flow
 from telepresence.link.gateway import Gateway
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
-from telepresence.link.slots import METRICS_NS, MOST_DATAGRAMS, GatewaySlots, WakeMargin
+from telepresence.link.slots import METRICS_NS, MOST_DATAGRAMS, GatewaySlots
 
 MS = 1_000_000
 US = 1000
@@ -29,52 +29,21 @@ def make_slots(first_ns=0, delay_ns=0):
     return gateway, GatewaySlots(gateway, first_ns=first_ns)
 
 
-def late(margin, lateness_ns):
-    """Return how many wake-ups came after the deadline in spite of the margin."""
-    missed = 0
-    for late_ns in lateness_ns:
-        missed += late_ns > margin.ns
-        margin.handle_wakeup(late_ns)
-    return missed
-
-
-def test_one_wake_up_in_four_is_later_than_the_margin_which_follows_the_machine():
-    chance = random.Random(1)
-    wakes = [round(chance.gauss(25 * US, 5 * US)) for _ in range(20_000)]
-    margin = WakeMargin()
-    late(margin, wakes[:2000])
-    assert 0.23 < late(margin, wakes[2000:]) / 18_000 < 0.27
-    # The 75th percentile of that distribution is 28.4 µs.
-    assert 25 * US < margin.ns < 32 * US
-    late(margin, [10 * US] * 5000)
-    assert 9 * US < margin.ns < 13 * US
-    # Repeatedly held up for milliseconds: no margin would help.
-    late(margin, [3000 * US] * 5000)
-    assert margin.ns == 60 * US
-    late(margin, [0] * 5000)
-    assert margin.ns == 0
-
-
-def test_it_wakes_before_a_slot_by_the_learned_margin():
-    gateway, slots = make_slots(first_ns=MS)
-    assert slots.wake_ns == slots.deadline_ns == slots.poll_timeout() == MS
-    for slot in range(1, 1001):
-        # Ready 20 µs after the requested wake-up.
-        ready_ns = slots.wake_ns + 20 * US
-        slots.handle_ready(ready_ns)
-        assert slots.handle_slot([], max(ready_ns, slots.deadline_ns)) >= 0
-        while gateway.poll_transmit(slots.deadline_ns) is not None:
-            pass
-        assert slots.deadline_ns == (slot + 1) * MS
-    assert 19 * US <= slots.deadline_ns - slots.poll_timeout() <= 21 * US
-
-
 def test_it_wakes_for_the_radio_between_two_slots():
     gateway, slots = make_slots(delay_ns=300 * US)
     slots.handle_slot([], 0)
     assert slots.poll_timeout() == 300 * US
     assert gateway.poll_transmit(300 * US) is not None
     assert slots.poll_timeout() == MS
+
+
+@pytest.mark.parametrize("late_ns", [0, 30 * US, MS + 30 * US])
+def test_a_late_slots_frame_leaves_the_radio_with_another_slot(late_ns):
+    """Its delay counts from the slot's instant, so that it costs no wake-up of its own."""
+    gateway, slots = make_slots(delay_ns=2 * MS)
+    assert slots.handle_slot([], late_ns) == late_ns
+    assert slots.deadline_ns == slots.poll_timeout() == late_ns // MS * MS + MS
+    assert gateway.poll_timeout() == late_ns // MS * MS + 2 * MS
 
 
 def test_the_newest_sample_is_sent_and_the_others_are_counted():

@@ -6,8 +6,14 @@ from random import Random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from telepresence.link.radio.channel import BlackoutClock, BurstClock, random_windows
-from telepresence.link.radio.profile import Bursts, RadioProfile, RandomBlackouts
+from telepresence.link.radio.channel import (
+    BlackoutClock,
+    BurstClock,
+    Bursts,
+    RandomBlackouts,
+    random_windows,
+)
+from telepresence.link.radio.profile import RadioProfile
 
 MS, S = 1_000_000, 1_000_000_000
 

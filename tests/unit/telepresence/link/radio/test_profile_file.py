@@ -9,8 +9,9 @@ from positions import ROOT
 
 from kontur_av.errors import ConfigError
 from telepresence.link.radio import RadioProfile, load_radio
+from telepresence.link.radio.channel import Bursts, RandomBlackouts
 from telepresence.link.radio.contact import STORED_ELEMENTS, Contact
-from telepresence.link.radio.profile import BUILT_IN, Blackout, Bursts, RandomBlackouts
+from telepresence.link.radio.profile import BUILT_IN, Blackout
 from telepresence.link.radio.profile_file import radio_from_table
 
 DOCUMENT = ROOT / "docs" / "radio.md"

@@ -1,0 +1,85 @@
+"""The ends of a picture stream: what is sent of which camera, and what damage is told."""
+
+from dataclasses import replace
+
+from rtp_packets import make_sender
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.decoder import DecoderCounts
+from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.sender import RtpIdentity
+from pipelines.media.following import Choice
+from pipelines.media.video_ends import VideoReceiveEnd, VideoSendEnd
+from pipelines.session.probe import Probe
+from pipelines.session.setup.setup_file import BUILT_IN
+from telepresence.world import WorldState
+
+SETUP = replace(BUILT_IN["spacejustin"], region="stylus")
+STREAM = SETUP.uplink_video
+MS = NS_PER_MS
+
+
+def unit_of(stamp, *, key=True):
+    return AccessUnit(b"\x00\x00\x00\x01" + (b"\x65" if key else b"\x41") + bytes(90), stamp, key)
+
+
+def test_a_sender_that_follows_numbers_what_it_encodes_and_leaves_a_camera_before_it_confirms():
+    sent, released = [], []
+    end = VideoSendEnd(
+        SETUP,
+        STREAM,
+        RtpIdentity(1, 2, 3),
+        Probe(),
+        (lambda packet, now_ns: sent.append(now_ns), lambda packet, now_ns: None),
+        wall_offset_ns=0,
+        follows=True,
+        release=released.append,
+    )
+    assert (end.camera, end.poll_encode(0), end.poll_confirmed(0)) == (None, None, None)
+    assert end.handle_choice(Choice(1, "static")) and not end.handle_choice(Choice(1, "static"))
+    assert end.poll_confirmed(0) == 1
+    for number in (7, 8):
+        end.handle_picture(number, CaptureStamp(number, number, "static"), number)
+    work = end.poll_encode(20)
+    # Before the robot tells where its tip is, no part of a picture is coded finer.
+    assert (work.picture, work.stamp.sequence, work.region, released) == (8, 0, None, [7])
+    end.handle_state(WorldState(20, 0.04, -0.02))
+    assert end.handle_choice(Choice(2, "head"))
+    end.handle_picture(9, CaptureStamp(30, 1, "head"), 30)
+    assert end.poll_confirmed(40) is None
+    end.handle_unit(unit_of(work.stamp), 40, 40)
+    now_ns = 40
+    while (number := end.poll_confirmed(now_ns)) is None:
+        assert end.poll_encode(now_ns) is None
+        due_ns = end.poll_timeout(now_ns)
+        # A switch never makes it spin.
+        assert due_ns >= now_ns + MS
+        now_ns = due_ns
+        end.handle_time(now_ns)
+    assert number == 2 and sent
+    while (work := end.poll_encode(now_ns)) is None:
+        now_ns += MS
+        end.handle_time(now_ns)
+    assert (work.picture, work.stamp.sequence, work.region is None) == (9, 1, False)
+    end.handle_picture(10, CaptureStamp(now_ns, 2, "head"), now_ns)
+    end.drop()
+    assert released == [7, 10]
+
+
+def test_a_unit_that_the_decoder_cannot_decode_asks_for_a_key_picture_with_the_next():
+    end = VideoReceiveEnd(STREAM, Probe(), ssrc=1, wall_offset_ns=0)
+    sender, counts = make_sender(timestamp_offset=0), DecoderCounts()
+    asked = []
+    for number, corrupt in enumerate((0, 1, 1, 1)):
+        now_ns = number * NS_PER_S // 30
+        unit = unit_of(CaptureStamp(now_ns, number, "x"), key=not number)
+        for packet in sender.video_packets(unit).packets:
+            end.handle_packet(packet, now_ns)
+        if not number:
+            end.handle_report(sender.poll_report(now_ns), now_ns)
+        while (came := end.next_unit()) is not None:
+            counts = replace(counts, frames_decoded=number + 1, frames_corrupt=corrupt)
+            (stamp,) = end.handle_decoded([(came.timestamp, 640, 480, False)], counts)
+            assert stamp is not None
+        asked.append(end.poll_feedback(now_ns) is not None)
+    assert asked == [False, False, True, False]
