@@ -100,16 +100,17 @@ def blamed(settings: Settings) -> Iterator[None]:
     except ConfigError as error:
         said = re.findall(r"[^\s=,;'\"()]*[^\s=,;'\"():]", str(error))
         about = [
-            (rank, said.index(word), setting.origin, name if rank < 4 else name[:1])
+            (rank, said.index(word), name[0] not in said, setting.origin, name)
             for name, setting in settings.items()
             if len(name) == 1 or setting.value is not False
             for rank, word in enumerate(_words(name, setting.value))
             if word in said
         ]
-        *_, origin, name = min(about, default=(COMMAND_LINE, ()))
+        rank, *_, origin, name = min(about, default=(0, COMMAND_LINE, ()))
         if origin == COMMAND_LINE:
             raise
-        raise ConfigError(f"{origin}: {'.'.join(name)}: {error}") from None
+        shown = ".".join(name if rank < 4 else name[:1])
+        raise ConfigError(f"{origin}: {shown}: {error}") from None
 
 
 def _words(name: Name, value: object) -> tuple[str, ...]:
