@@ -100,16 +100,17 @@ def blamed(settings: Settings) -> Iterator[None]:
     except ConfigError as error:
         said = re.findall(r"[^\s=,;'\"()]*[^\s=,;'\"():]", str(error))
         about = [
-            (rank, said.index(word), setting.origin, name if rank < 4 else name[:1])
+            (rank, said.index(word), name[0] not in said, setting.origin, name)
             for name, setting in settings.items()
             if len(name) == 1 or setting.value is not False
             for rank, word in enumerate(_words(name, setting.value))
             if word in said
         ]
-        *_, origin, name = min(about, default=(COMMAND_LINE, ()))
+        rank, *_, origin, name = min(about, default=(0, COMMAND_LINE, ()))
         if origin == COMMAND_LINE:
             raise
-        raise ConfigError(f"{origin}: {'.'.join(name)}: {error}") from None
+        shown = ".".join(name if rank < 4 else name[:1])
+        raise ConfigError(f"{origin}: {shown}: {error}") from None
 
 
 def _words(name: Name, value: object) -> tuple[str, ...]:
@@ -217,11 +218,11 @@ def _checked(table: Mapping[str, Any], folder: Path) -> Iterator[tuple[Name, Any
     for option, value in table.items():
         in_setup = option == "setup"
         if isinstance(value, Mapping) and (in_setup or _is_named(option)):
-            for name, one in _leaves(value):
-                if not in_setup and (name[1:] or one is True or not isinstance(one, str | int)):
-                    raise ConfigError(f"{option}.{name[0]} must be a text in quotes, not {one!r}")
-                one = one if in_setup or one is False else str(one)
-                yield (option, *name), _placed((option, *name), one, folder)
+            for name, leaf in _leaves(value):
+                if not in_setup and (name[1:] or leaf is True or not isinstance(leaf, str | int)):
+                    raise ConfigError(f"{option}.{name[0]} must be a text in quotes, not {leaf!r}")
+                leaf = leaf if in_setup or leaf is False else str(leaf)
+                yield (option, *name), _placed((option, *name), leaf, folder)
         elif value is False:
             yield (option,), False
         else:
@@ -252,7 +253,7 @@ def _leaves(table: Mapping[str, Any]) -> Iterator[tuple[Name, Any]]:
     """Each value by its name in all tables."""
     for key, value in table.items():
         if isinstance(value, Mapping):
-            yield from (((key, *name), one) for name, one in _leaves(value or {"": None}))
+            yield from (((key, *name), leaf) for name, leaf in _leaves(value or {"": None}))
         else:
             yield (key,), value
 
@@ -260,7 +261,7 @@ def _leaves(table: Mapping[str, Any]) -> Iterator[tuple[Name, Any]]:
 def _placed(name: Name, value: Any, folder: Path) -> Any:
     """A value whose relative path begins at `folder`."""
     if isinstance(value, tuple):
-        return tuple(_placed(name, one, folder) for one in value)
+        return tuple(_placed(name, inner, folder) for inner in value)
     if isinstance(value, Path):
         return folder / value.expanduser()
     metavar = OPTIONS[name[0]].metadata["metavar"]

@@ -66,11 +66,12 @@ def test_the_nearer_file_wins_and_the_command_line_over_all_with_paths_from_each
     files = {
         "all/base.toml": 'record = "x.mcap"\nquiet = true\nradio = "geo"\nrobot = "udp:h:1:key"\n'
         'telemetry = ["a:B"]\n[source]\nleft = "pipe:p"\nright = "page"\n'
-        '[setup]\ncameras = ["stereo"]\nuplink_video = {cap_kbps = 50}\n',
+        '[setup]\ncameras = ["stereo"]\nuplink_video = {cap_kbps = 50}\n'
+        "uplink_voice = {cap_kbps = 8}\n",
         "all/metrics.toml": 'include = "base.toml"\nmetrics = true\n',
         "lab.toml": 'include = ["all/base.toml", "all/metrics.toml"]\nverbose = true\n'
         'telemetry = ["c:D"]\nradio_delay_ms = 3\nsource.right = "scene:right"\n'
-        "[setup.uplink_video]\nfps = 25\n",
+        "[setup]\nuplink_voice = false\nuplink_video.fps = 25\n",
     }
     read = site(files, "--source", "right=scene:left", "--no-metrics")
     given = read.options
@@ -79,6 +80,7 @@ def test_the_nearer_file_wins_and_the_command_line_over_all_with_paths_from_each
     assert (given.telemetry, given.radio_delay_ms) == (("c:D",), 3)
     assert set(given.source) == {"left=pipe:all/p", "right=scene:left"}
     setup = asked_setup(given)
+    assert setup.uplink_voice is None
     assert (setup.name, setup.uplink_video.cap_bps, setup.uplink_video.fps) == ("lab", 50_000, 25)
     rows = dict(re.findall(r"^(\S+) +\S+ +(.*)$", read.explained(setup), re.MULTILINE))
     assert rows["record"] == rows["setup.uplink_video.cap_kbps"] == "all/base.toml"
@@ -118,3 +120,9 @@ def test_a_mistake_is_named_with_file_field_and_what_would_fit(site, text, says)
         read = site({"a.toml": text})
         with blamed(read.settings):
             asked_setup(read.options)
+
+
+def test_a_mistake_of_the_command_line_is_not_blamed_on_a_file(site):
+    read = site({"a.toml": SETUP + 'robot = "sim"'}, "--radio", "sim")
+    with pytest.raises(ConfigError, match=r"^unknown radio sim"), blamed(read.settings):
+        asked_setup(read.options)
