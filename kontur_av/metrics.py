@@ -100,7 +100,7 @@ def marks_of(kind: Any) -> dict[str, frozenset[str]]:
     Raises TypeError for a type that is not a record.
     """
     hints = get_type_hints(kind, include_extras=True)
-    names = getattr(kind, "__struct_fields__", None) or [one.name for one in fields(kind)]
+    names = getattr(kind, "__struct_fields__", None) or [field.name for field in fields(kind)]
     return {name: frozenset(_marks(hints[name])) for name in names}
 
 
@@ -117,8 +117,8 @@ def _marks(hint: object) -> Iterator[str]:
     if get_origin(hint) is Annotated:
         yield from (mark for mark in get_args(hint)[1:] if isinstance(mark, str))
     elif get_origin(hint) in (Union, UnionType):
-        for one in get_args(hint):
-            yield from _marks(one)
+        for arg in get_args(hint):
+            yield from _marks(arg)
 
 
 def _is_count(value: object) -> bool:

@@ -74,7 +74,7 @@ def find_part(spec: str, registry: PluginRegistry) -> tuple[Any, tuple[str, ...]
     except Exception as error:
         # The user's own code: whatever it raises is theirs to fix.
         raise ConfigError(f"{spec!r} cannot be loaded: {error_words(error)}") from error
-    known = ", ".join(sorted(one.name for one in entry_points(group=registry.group)))
+    known = ", ".join(sorted(point.name for point in entry_points(group=registry.group)))
     raise ConfigError(
         f"{registry.what} {spec!r}: write {registry.forms}"
         + (f", or one of {known}" if known else "")

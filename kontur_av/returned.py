@@ -151,7 +151,7 @@ def _record(kind: Any) -> _Convert:
     """Of a NamedTuple, also from any other sequence of its fields."""
     hints = get_type_hints(kind)
     converters = [(name, _converter(one)) for name, one in hints.items()]
-    types = tuple(get_origin(one) or one for one in hints.values())
+    types = tuple(get_origin(hint) or hint for hint in hints.values())
     least = len(converters) - len(kind._field_defaults)
 
     def convert(value: Any) -> Any:

@@ -151,7 +151,7 @@ def _wanted(wrong: str, name: str, field: Field[Any] | None, holder: type) -> st
         return str(field.metadata["like"])
     if field is not None and wrong.startswith("Invalid enum value"):
         hint = field.type
-        (choices,) = (one for one in (hint, *get_args(hint)) if get_origin(one) is Literal)
+        (choices,) = (arg for arg in (hint, *get_args(hint)) if get_origin(arg) is Literal)
         return f"one of {', '.join(get_args(choices))}"
     match = re.match(r"Expected `([a-z]+)", wrong)
     expected = match[1] if match else ""

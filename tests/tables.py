@@ -135,7 +135,7 @@ def _with_helpers(file: Path) -> tuple[tuple[str, ...], ...]:
         elif isinstance(node, ast.ImportFrom):
             names.add(node.module or "")
     helpers = (TESTS / "helpers" / f"{name}.py" for name in sorted(names))
-    near = [one for one in (file.parent / "conftest.py", *helpers) if one.exists()]
+    near = [helper for helper in (file.parent / "conftest.py", *helpers) if helper.exists()]
     return tuple(_words(one) for one in (file, *near))
 
 

@@ -59,7 +59,7 @@ def reception_run(who: str, units: Sequence[tuple[bytes, bool]], seconds: float)
     pictures = [(at - sent[one]) / NS_PER_MS for one, at in seen.items() if at > from_ns]
     clicks = [at_ns for at_ns in clicked if at_ns]
     voices = [
-        (at - max(one for one in clicks if one <= at)) / NS_PER_MS
+        (at - max(click for click in clicks if click <= at)) / NS_PER_MS
         for at in heard
         if at > from_ns and clicks[0] <= at
     ]

@@ -60,7 +60,7 @@ def read_session(leg: str, report: JsonReader) -> SessionRun:
         cores=report.number("cpu", "cores_used"),
         partner_bps=None if video is None else report.count("rtc", "mean_bps", "rtc_video"),
         partner_lost=None if video is None else video.count("rtc_video", "lost"),
-        failures=tuple(str(one.value) for one in report.elements("failures")),
+        failures=tuple(str(element.value) for element in report.elements("failures")),
     )
 
 

@@ -121,7 +121,7 @@ class RisingInstants:
         if newest_ns is None:
             self._newest_ns = self._highest_ns = file_ns
             return file_ns
-        due_ns = min((file_ns + one for one in self._clocks_ns), key=lambda at: abs(at - newest_ns))
+        due_ns = min((file_ns + n for n in self._clocks_ns), key=lambda at: abs(at - newest_ns))
         step_ns = due_ns - newest_ns
         returns = file_ns - min(following_ns, default=file_ns) > step_ns // 2 > NS_PER_S // 2
         if step_ns <= -self._most_back_ns or step_ns > _LONGEST_NS or returns:

@@ -177,7 +177,7 @@ def _join(udp: socket.socket, group: _Address, sources: Sequence[_Address]) -> N
     sources: its only senders; empty: any. Raises OSError if no interface can join.
     """
     level = socket.IPPROTO_IP if group.version == 4 else socket.IPPROTO_IPV6
-    wanted = [one for one in sources if one.version == group.version]
+    wanted = [source for source in sources if source.version == group.version]
     refused, joined = OSError("no network interface"), False
     for index, _ in socket.if_nameindex():
         head = struct.pack("@I4x", index) + _packed(group)

@@ -428,7 +428,7 @@ def _skews(skews: Mapping[str, ContentSkew | None]) -> Table:
 
 
 def _events(events: Sequence[SensedEvent]) -> Table:
-    words = [f"{one}, ms" for one in _WORDS.values()]
+    words = [f"{word}, ms" for word in _WORDS.values()]
     headings = ("number", *SENSES, *words)
     table = titled_table("events, instants in s", *headings, box=SIMPLE_HEAD)
     for number, event in enumerate(events, 1):

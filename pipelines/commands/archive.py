@@ -76,7 +76,7 @@ def _add(archive: SessionArchive, paths: list[Path]) -> None:
 
 
 def _trend(archive: SessionArchive, patterns: list[str], plot: Path | None) -> None:
-    found = list(dict.fromkeys(key for one in patterns for key in archive.keys(one)))
+    found = list(dict.fromkeys(key for pattern in patterns for key in archive.keys(pattern)))
     if not found:
         raise ConfigError(
             f"no figure {' or '.join(patterns)} in {archive.path}; see docs/report.md"

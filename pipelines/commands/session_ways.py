@@ -156,7 +156,7 @@ def files_arguments(
         return {}
     text = args.files_rate or FILES_KBPS
     rates = re.fullmatch(r"(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
-    if rates is None or not all(1 <= float(one) <= 10_000 for one in rates.groups()):
+    if rates is None or not all(1 <= float(group) <= 10_000 for group in rates.groups()):
         raise ConfigError(f"--files-rate {text}: give two rates, from 1 to 10000 kbit/s")
     by_segment = dict(zip(FILES_BPS, rates.groups(), strict=True))
     found: dict[str, Mapping[str, object]] = {}

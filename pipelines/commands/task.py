@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
             return 0
         arguments: tuple[int, ...] = ()
         if args.action == "select":
-            names = [one.name for one in shown.tasks]
+            names = [task.name for task in shown.tasks]
             if args.task not in names:
                 raise ConfigError(f"unknown task {args.task}: choose one of {', '.join(names)}")
             arguments = (names.index(args.task),)
@@ -75,9 +75,9 @@ def _shown(bus: TopicBus, session: str) -> ExperimentShown:
 
 
 def _print(shown: ExperimentShown) -> None:
-    for one in shown.tasks:
-        lacks = f" Not available: it {one.lacks}." if one.lacks else ""
-        print(f"{one.name:<10} {one.text}{lacks}")
+    for task in shown.tasks:
+        lacks = f" Not available: it {task.lacks}." if task.lacks else ""
+        print(f"{task.name:<10} {task.text}{lacks}")
     present = f"{shown.task}, run {shown.run}: {shown.phase}" if shown.task else shown.phase
     elemop = f", {shown.elemop}" if shown.elemop else ""
     print(f"now: {present}{elemop}")

@@ -84,8 +84,8 @@ def _print_known(args: argparse.Namespace) -> None:
     elif args.application is not None:
         _list(dictionary.application(args.application))
     else:
-        for one in dictionary.applications:
-            print(f"{one.name} ({one.end}): {one.text}")
+        for application in dictionary.applications:
+            print(f"{application.name} ({application.end}): {application.text}")
 
 
 def _list(application: Application) -> None:
@@ -94,7 +94,7 @@ def _list(application: Application) -> None:
         print(f"{words}: {function.text}" if function.text else words)
     for structure in application.structures:
         print(f"report {structure.name}: {', '.join(structure.parameters)}")
-    settable = [one.name for one in application.parameters if one.writable]
+    settable = [parameter.name for parameter in application.parameters if parameter.writable]
     if settable:
         print(f"set {', '.join(settable)}")
     print(", ".join(SHORT_VERBS))

@@ -217,8 +217,8 @@ class Bridge:
         client.handle_request(now_ns)
         match protocol.parse_text(text):
             case protocol.Subscribe(subscriptions):
-                for one in subscriptions:
-                    self._subscribe(client, one.id, one.channel_id, now_ns)
+                for subscription in subscriptions:
+                    self._subscribe(client, subscription.id, subscription.channel_id, now_ns)
             case protocol.Unsubscribe(numbers):
                 for one_number in numbers:
                     client.unsubscribe(one_number)

@@ -172,7 +172,7 @@ class Client:
 
     def _remove(self, channel: str) -> int:
         """Remove what waits of a channel; how many messages."""
-        kept = deque(one for one in self._messages if one.channel != channel)
+        kept = deque(message for message in self._messages if message.channel != channel)
         removed = len(self._messages) - len(kept)
         self._messages = kept
         self.waiting_octets = sum(len(one.data) for one in kept)

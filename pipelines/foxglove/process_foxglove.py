@@ -143,7 +143,7 @@ class _FoxgloveServer:
         if found.kind is not AccessKind.PAGE:
             raise AccessError(404, f"only /{FOXGLOVE}")
         offered = request.headers.get("Sec-WebSocket-Protocol", "")
-        if not {one.strip() for one in offered.split(",")}.intersection(SUBPROTOCOLS):
+        if not {word.strip() for word in offered.split(",")}.intersection(SUBPROTOCOLS):
             raise AccessError(400, f"this address is for web sockets of {SUBPROTOCOLS[0]}")
         if self._bridge.is_full:
             raise AccessError(503, "too many clients", "clients")

@@ -249,9 +249,9 @@ class DeviceCheck(Generic[R]):
     def errors(self) -> tuple[Figure, ...]:
         """No reading names an error, nor in a rest at the end; else its own words are told."""
         self._cycles(2 * SPELL_NS, None)
-        for one in self._readings:
-            if one.error:
-                raise PartError(one.error)
+        for reading in self._readings:
+            if reading.error:
+                raise PartError(reading.error)
         return (Figure("with an error", 0, most=0),)
 
     def _switch_on(self) -> Any:
@@ -318,7 +318,7 @@ class DeviceCheck(Generic[R]):
 
     def _still(self, readings: list[R]) -> tuple[Figure, ...]:
         first = readings[0]
-        way = max(hypot(one.x_m - first.x_m, one.y_m - first.y_m) for one in readings)
+        way = max(hypot(reading.x_m - first.x_m, reading.y_m - first.y_m) for reading in readings)
         return (
             Figure("way", way * 1e3, "mm", most=STILL_M * 1e3),
             Figure("speed", max(map(speed, readings)), "m/s", most=STILL_M_S),

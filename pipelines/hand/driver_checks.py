@@ -108,7 +108,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         """All measurements are numbers, and follow one from the other."""
         most = 2 * self._device.capabilities.speed_m_s
         return (
-            *self._number_metrics([one[:6] for one in self._readings]),
+            *self._number_metrics([reading[:6] for reading in self._readings]),
             Figure("steps", self._step_m_s, "m/s", most=most),
         )
 
@@ -270,7 +270,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
 
     def readings(self) -> tuple[Figure, ...]:
         """All measurements are numbers and follow one from the other; the device is there."""
-        gone = sum(not one.present for one in self._readings)
+        gone = sum(not reading.present for reading in self._readings)
         most = Limits().speed_m_s
         return (
             *self._number_metrics([(*one[:4], one.temperature_c or 0.0) for one in self._readings]),
@@ -280,8 +280,8 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
 
     def dead_man(self) -> tuple[Figure, ...]:
         """No button is pressed by itself."""
-        held = sum(bool(one.dead_man) for one in self._readings)
-        buttons = sum(one.buttons != 0 for one in self._readings)
+        held = sum(bool(reading.dead_man) for reading in self._readings)
+        buttons = sum(reading.buttons != 0 for reading in self._readings)
         return (Figure("pressed", held, most=0), Figure("other buttons", buttons, most=0))
 
     def unplugged(self) -> tuple[Figure, ...]:

@@ -162,7 +162,7 @@ def seeing(bus: TopicBus, hand: Hand) -> Cycle:
 
 
 def _view(shown: PanelShown) -> PanelView:
-    found = {one.name: getattr(shown, one.name) for one in fields(PanelView)}
+    found = {field.name: getattr(shown, field.name) for field in fields(PanelView)}
     return PanelView(**found | {"mode": PanelMode(shown.mode)})
 
 

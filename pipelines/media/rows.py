@@ -99,7 +99,7 @@ def _sender(session: Topology, row: MediaRow) -> ProcessRow:
 
 def _receiver(session: Topology, row: MediaRow) -> ProcessRow:
     video = row.kind is Kind.VIDEO
-    shown = (one.lag_topic for one in session.video_streams if one.display == row.display)
+    shown = (stream.lag_topic for stream in session.video_streams if stream.display == row.display)
     return ProcessRow(
         name=row.receiver,
         segment=row.direction.receiver,

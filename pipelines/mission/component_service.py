@@ -90,7 +90,7 @@ class ComponentService:
         self._acted = self._actions_failed = self._actions_dropped = 0
         self._events_dropped = self._faults = self._dropped = self._waited_ns = 0
         self._newest_fault = ""
-        writable = {one.name for one in table.parameters if one.writable}
+        writable = {parameter.name for parameter in table.parameters if parameter.writable}
         for name, value in settings.items():
             if name in writable:
                 self._set(name, value)

@@ -114,9 +114,9 @@ class MissionGround:
         self._names = tuple(catalogue.tasks)
         self._listed = tuple(
             TaskListed(
-                one.name, one.text, NEEDS_TWO_HANDS if one.two_handed and not two_hands else ""
+                task.name, task.text, NEEDS_TWO_HANDS if task.two_handed and not two_hands else ""
             )
-            for one in catalogue.tasks.values()
+            for task in catalogue.tasks.values()
         )
         self._follower = None if plan is None else PlanFollower(plan, finished=memory.planned)
         self._next_run = memory.next_run

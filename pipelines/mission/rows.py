@@ -77,15 +77,15 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
         ),
         *(
             ProcessRow(
-                name=component_process(one.application.name),
+                name=component_process(component.application.name),
                 segment=Segment.GROUND,
                 stage=Stage.LINK,
                 run="pipelines.mission.process_tmtc:run_component",
-                arguments={"component": one},
+                arguments={"component": component},
                 reads=(TMTC_TOPICS[Segment.GROUND],),
-                what=one.application.text or "a user's component in telemetry",
+                what=component.application.text or "a user's component in telemetry",
             )
-            for one in options.components
+            for component in options.components
         ),
         ProcessRow(
             name=TASKS,

@@ -60,7 +60,7 @@ _GAUGES = (
     _gauge("age", "u16", "s", high=_SILENT_S, text="of its newest figures, while it runs"),
 )
 _OF_LOOPS = (
-    *(_gauge(one.name, "u32") for one in fields(LoopMetrics)),
+    *(_gauge(field.name, "u32") for field in fields(LoopMetrics)),
     _gauge("left_out", "u16", "%", high=100 * LEFT_OUT_SHARE, text="cycles, of the last"),
 )
 
@@ -132,12 +132,12 @@ def _structures(parameters: Sequence[Parameter]) -> tuple[Structure, ...]:
     """As many reports as packets are needed; off at first, as links keep no room for them."""
     reports: list[list[str]] = []
     octets = MAX_REPORT_OCTETS
-    for one in parameters:
-        if octets + one.octets > MAX_REPORT_OCTETS:
+    for parameter in parameters:
+        if octets + parameter.octets > MAX_REPORT_OCTETS:
             reports.append([])
             octets = 1
-        octets += one.octets
-        reports[-1].append(one.name)
+        octets += parameter.octets
+        reports[-1].append(parameter.name)
     return tuple(
         Structure(
             name=f"processes_{number}",
@@ -285,14 +285,14 @@ def session_dictionary(dictionary: Dictionary, topology: Topology) -> Dictionary
     return Dictionary(
         applications=tuple(
             replace(
-                one,
+                application,
                 parameters=tuple(
                     replace(each, choices=topology.setup.cameras) if each.name == CAMERA else each
-                    for each in one.parameters
+                    for each in application.parameters
                 ),
             )
-            if one.name == CAMERA
-            else one
-            for one in known.applications
+            if application.name == CAMERA
+            else application
+            for application in known.applications
         )
     )

@@ -156,7 +156,7 @@ class TmtcEnd:
     def handle_values(self, application: str, values: Values, now_ns: int) -> None:
         """Parameters have these values now. ConfigError for what is not in the dictionary."""
         table = self._application(application)
-        known = {one.name for one in table.table.parameters}
+        known = {parameter.name for parameter in table.table.parameters}
         if unknown := set(values) - known:
             raise ConfigError(f"{application} has no parameter {', '.join(sorted(unknown))}")
         table.handle_values(values, now_ns)
@@ -227,16 +227,16 @@ class TmtcEnd:
                 pus_garbage=node.garbage + user.garbage + self._k2aci.garbage + self._garbage,
                 pus_unexpected=user.unexpected + self._k2aci.unexpected,
                 pus_delayed=node.delayed,
-                pus_dropped=sum(one.dropped_reports for one in applications)
+                pus_dropped=sum(application.dropped_reports for application in applications)
                 + user.dropped_events
                 + self._k2aci.dropped_answers
                 + self._dropped,
                 pus_telecommands=user.sent,
                 pus_telecommands_repeated=user.repeated,
-                pus_executed=sum(one.executed for one in applications),
-                pus_failed=sum(one.failed for one in applications),
-                pus_duplicates=sum(one.duplicates for one in applications),
-                pus_events=sum(one.events_reported for one in applications),
+                pus_executed=sum(application.executed for application in applications),
+                pus_failed=sum(application.failed for application in applications),
+                pus_duplicates=sum(application.duplicates for application in applications),
+                pus_events=sum(application.events_reported for application in applications),
                 pus_housekeeping=sum(one.housekeeping_reported for one in applications),
                 pus_reports=user.reports,
                 k2aci_sent=self._k2aci.sent,
@@ -298,7 +298,7 @@ class TmtcEnd:
                 on = request.verb == "housekeeping_on"
                 return user.switch_housekeeping(name, request.name, on=on, now_ns=now_ns)
             case "parameters":
-                names = [str(one) for one in request.arguments]
+                names = [str(argument) for argument in request.arguments]
                 return user.request_parameters(name, names, now_ns=now_ns)
             case "set":
                 return user.set_parameters(name, request.values, now_ns=now_ns)

@@ -222,7 +222,7 @@ def k2aci_message(kind: str, given: Mapping[str, FieldValue]) -> K2aciMessage:
     cls = K2ACI_KINDS.get(kind)
     if cls is None:
         raise ConfigError(f"K2ACI {kind!r} is unknown: choose one of {', '.join(K2ACI_KINDS)}")
-    known = [one.name for one in fields(cls)]
+    known = [field.name for field in fields(cls)]
     if unknown := set(given) - set(known):
         raise ConfigError(f"{kind} has no {', '.join(sorted(unknown))}: it has {', '.join(known)}")
     with refused(kind, msgspec.ValidationError):
@@ -250,11 +250,11 @@ def command_from_words(
     words, and for names and values that the application does not have.
     """
     word, *rest = words
-    functions = {one.name: one for one in application.functions}
+    functions = {function.name: function for function in application.functions}
     if word in functions:
         parameters = application.named(functions[word].arguments)
         if len(parameters) != len(rest):
-            needs = " ".join(one.name for one in parameters) or "nothing"
+            needs = " ".join(parameter.name for parameter in parameters) or "nothing"
             raise ConfigError(f"{application.name} {word} takes {needs}")
         arguments = tuple(
             value_from_word(one, text) for one, text in zip(parameters, rest, strict=True)
@@ -330,7 +330,7 @@ def _tries(update: CommandUpdate) -> str:
 
 def report_words(report: Reported, application: Application) -> str:
     """A report in one line: each value with its unit."""
-    units = {one.name: one.unit for one in application.parameters}
+    units = {parameter.name: parameter.unit for parameter in application.parameters}
     values = ", ".join(
         f"{name} {_value_words(value)} {units.get(name, '')}".rstrip()
         for name, value in report.values.items()

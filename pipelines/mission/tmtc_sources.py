@@ -91,7 +91,7 @@ class RobotSource:
     def __init__(self, end: TmtcEnd, *, first_number: int) -> None:
         self._end = end
         self._asked = _Asked("robot", end, first_number=first_number)
-        self._functions = {one.name for one in end.applications["robot"].table.functions}
+        self._functions = {function.name for function in end.applications["robot"].table.functions}
         self._next_ns = 0
         self._known: tuple[object, ...] = ()
         self._known_ns = 0

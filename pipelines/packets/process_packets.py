@@ -350,8 +350,8 @@ def run_frames(context: Context, address: Address) -> None:
             context.probe.publish(
                 FrameMetrics(
                     copied={way.value: one.copied for way, one in ways.items()},
-                    copies_missed=sum(one.missed for one in ways.values()),
-                    copies_unsent=sum(one.to.failed for one in ways.values()),
+                    copies_missed=sum(direction.missed for direction in ways.values()),
+                    copies_unsent=sum(direction.to.failed for direction in ways.values()),
                 )
             )
 

@@ -294,7 +294,7 @@ def write_candidates(transport: Transport, *, mid: str) -> str:
     """Return candidates as a fragment for trickle ICE (RFC 8840 section 9)."""
     lines = [f"a=ice-ufrag:{transport.ufrag}", f"a=ice-pwd:{transport.password}"]
     lines += [f"m=audio {_DISCARD_PORT} RTP/AVP 0", f"a=mid:{mid}"]
-    lines += [f"a=candidate:{candidate_to_sdp(one)}" for one in transport.candidates]
+    lines += [f"a=candidate:{candidate_to_sdp(candidate)}" for candidate in transport.candidates]
     lines += ["a=end-of-candidates"] if transport.complete else []
     return "\r\n".join(lines) + "\r\n"
 

@@ -52,7 +52,7 @@ class IceServers:
 
     def check(self) -> None:
         """ConfigError if no server can relay, although nothing else is wanted."""
-        if self.relay_only and not any(one.url.startswith("turn") for one in self.servers):
+        if self.relay_only and not any(server.url.startswith("turn") for server in self.servers):
             raise ConfigError("--ice-relay-only: give --ice-server turn:HOST, too")
 
     def for_aiortc(self) -> list[RTCIceServer]:
@@ -66,10 +66,10 @@ class IceServers:
     def link_headers(self) -> list[str]:
         """Return the servers as values of HTTP's Link header (RFC 9725 section 4.6)."""
         links = []
-        for one in self.servers:
-            link = f'<{one.url}>; rel="ice-server"'
-            if one.username:
-                link += f'; username="{one.username}"; credential="{one.credential}"'
+        for server in self.servers:
+            link = f'<{server.url}>; rel="ice-server"'
+            if server.username:
+                link += f'; username="{server.username}"; credential="{server.credential}"'
                 link += '; credential-type="password"'
             links.append(link)
         return links

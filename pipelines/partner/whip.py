@@ -59,7 +59,7 @@ class WhipClient:
 
     def __init__(self, url: str, *, token: str = "", token_origins: Sequence[str] = ()) -> None:
         self._url, self._token = url, token
-        self._origins = {_origin(one) for one in (url, *token_origins)}
+        self._origins = {_origin(origin) for origin in (url, *token_origins)}
         self._session: aiohttp.ClientSession | None = None
         self._resource: str | None = None
         #: Where the newest answer came from, after redirects.

@@ -63,9 +63,9 @@ class RecordingMetadata:
         try:
             return cls(
                 **{
-                    one.name: one.type(items[one.name])  # type: ignore[operator]
-                    for one in fields(cls)
-                    if one.default is MISSING or one.name in items
+                    field.name: field.type(items[field.name])  # type: ignore[operator]
+                    for field in fields(cls)
+                    if field.default is MISSING or field.name in items
                 }
             )
         except KeyError as error:

@@ -277,8 +277,8 @@ class ReceiveShell:
         next_line_ns, looked_ns = start_ns + NS_PER_S, start_ns
         say(f"waiting for {self._stream.kind} on UDP port {self._stream.port}")
         with stopped_by_signals() as stopped, selectors.DefaultSelector() as selector:
-            for one in self._udp.sockets:
-                selector.register(one, selectors.EVENT_READ)
+            for socket in self._udp.sockets:
+                selector.register(socket, selectors.EVENT_READ)
             while not (stopped() or reader_gone()):
                 now_ns = self._clock.now_ns()
                 # What came during a stall of this process has not been read yet.

@@ -157,7 +157,7 @@ def _session(
             packets = [unpack(RecordedPacket, one.data) for one in found]
             # Older recordings have the stream's name, whatever the packet is.
             stream = _STREAMS.get(name.partition("/")[2], name)
-            sent = [SentPacket(one.session_ns, one.data) for one in packets]
+            sent = [SentPacket(packet.session_ns, packet.data) for packet in packets]
             session.packets[stream] = sorted(session.packets.get(stream, []) + sent)
         else:
             continue

@@ -47,12 +47,12 @@ class RecorderMetrics:
     @property
     def messages(self) -> int:
         """How many are in the files."""
-        return sum(one.kept for one in self.channels.values())
+        return sum(channel.kept for channel in self.channels.values())
 
     @property
     def lost(self) -> int:
         """How many messages are not in the files."""
-        return sum(one.lost for one in self.channels.values())
+        return sum(channel.lost for channel in self.channels.values())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

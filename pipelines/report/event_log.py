@@ -268,7 +268,7 @@ def _supervised(supervision: SupervisionMetrics) -> dict[str, list[tuple[int, st
         if one["to"] in _TOLD_STATES or one["from"] in _TOLD_STATES
     ]
     return {
-        "acquired": [(begun_ns + one.acquired_ns, "signal acquired") for one in contacts],
+        "acquired": [(begun_ns + contact.acquired_ns, "signal acquired") for contact in contacts],
         "lost": [
             (begun_ns + one.lost_ns, "signal lost") for one in contacts if one.lost_ns is not None
         ],

@@ -165,7 +165,7 @@ def _plain(hint: Any) -> Iterator[Any]:
     if get_origin(hint) is Annotated:
         yield from _plain(get_args(hint)[0])
     elif get_origin(hint) in (Union, UnionType):
-        for one in get_args(hint):
-            yield from _plain(one)
+        for arg in get_args(hint):
+            yield from _plain(arg)
     else:
         yield hint

@@ -317,7 +317,7 @@ def _cpu(ground: model.CpuReport, space: model.CpuReport) -> model.CpuReport:
 
 
 def _exercises(ends: Mapping[Segment, JoinedEnd]) -> list[DatedEvent] | None:
-    found = [one for end in ends.values() for one in end.report.exercises or ()]
+    found = [exercise for end in ends.values() for exercise in end.report.exercises or ()]
     return sorted(found, key=lambda one: one.at_ns) or None
 
 

@@ -743,7 +743,7 @@ def _nested(found: Any, hint: Any) -> Any:
     hints, rows = _hints_of(hint), keys_of(hint)
     for name, key, _, flat in rows:
         if flat and not _is_record(_type_of(hints[name])):
-            own = {one[1] for one in rows if not one[3]}
+            own = {row[1] for row in rows if not row[3]}
             made[name] = {key: one for key, one in found.items() if key not in own}
         elif flat and _is_in(found, _type_of(hints[name])):
             made[name] = _nested(found, hints[name])
@@ -784,7 +784,7 @@ def _keys(kind: type) -> Iterator[tuple[str, bool]]:
 
 def _type_of(hint: Any) -> Any:
     if get_origin(hint) in (Union, UnionType):
-        return next(one for one in get_args(hint) if one is not type(None))
+        return next(arg for arg in get_args(hint) if arg is not type(None))
     return hint
 
 

@@ -124,14 +124,14 @@ def headline_tables(found: Sequence[Headline]) -> Iterator[Table]:
     """A table for each group: a row for each figure, a column for each thing that is compared."""
     for group in dict.fromkeys(one.group for one in found):
         rows = [one for one in found if one.group == group]
-        columns = list(dict.fromkeys(one.who for one in rows))
-        judged = any(one.target for one in rows)
+        columns = list(dict.fromkeys(row.who for row in rows))
+        judged = any(row.target for row in rows)
         headings = ("", *(who or "found" for who in columns), *["target"] * judged)
         table = titled_table(group, *headings, left=("target",))
-        for what, unit in dict.fromkeys((one.what, one.unit) for one in rows):
-            cells = {one.who: one for one in rows if (one.what, one.unit) == (what, unit)}
+        for what, unit in dict.fromkeys((row.what, row.unit) for row in rows):
+            cells = {row.who: row for row in rows if (row.what, row.unit) == (what, unit)}
             values = (_figure(cells[who].value) if who in cells else "" for who in columns)
-            verdicts = (_verdict(one) for one in cells.values() if one.target)
+            verdicts = (_verdict(cell) for cell in cells.values() if cell.target)
             named = f"{what}, {unit}" if unit else what
             table.add_row(named, *values, *[next(verdicts, "")] * judged)
         yield table

@@ -140,7 +140,7 @@ class SeatMetrics:
         metrics = dict(self._metrics(directions, ends, seconds, now_ns))
         total = cpu_report(cpu_s, launcher_cpu_s, seconds)
         metrics |= _flat("cpu", to_builtins(total))
-        silent = {one.process: one for one in silences(self._collector)}
+        silent = {silence.process: silence for silence in silences(self._collector)}
         for process in self._processes:
             spent_s = cpu_s.get(process.name, 0.0)
             told = self._collector.process(process.name)

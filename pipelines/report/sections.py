@@ -88,7 +88,7 @@ def task_runs(collector: Collector, epoch_ns: int) -> list[TaskRow] | None:
 
 def run_since(epoch_ns: int, run: TaskRow) -> TaskRow:
     change = msgspec.structs.replace
-    steps = [change(one, at_ns=one.at_ns - epoch_ns) for one in run.steps]
+    steps = [change(step, at_ns=step.at_ns - epoch_ns) for step in run.steps]
     return change(run, selected_ns=run.selected_ns - epoch_ns, steps=steps)
 
 
@@ -210,7 +210,7 @@ def recorder_warnings(collector: Collector) -> list[model.Warning]:
     if not (metrics.lost or metrics.disk_faults):
         return []
     why = f"; {metrics.fault}" if metrics.fault else ""
-    dropped = sum(one.dropped for one in metrics.channels.values())
+    dropped = sum(channel.dropped for channel in metrics.channels.values())
     missed = metrics.lost - dropped
     measured = f"{metrics.lost} messages are not in the recording"
     if missed:

@@ -153,7 +153,7 @@ class SyncMetrics:
         # Cut between two groups of bounces, so that no bounce is counted as a contact.
         until_ns = min((at_ns for at_ns, _ in apart if at_ns >= until_ns), default=until_ns)
         self._note_first(events)
-        self._settled.add([one for one in events if one.instant_ns < until_ns], _GRAIN_NS)
+        self._settled.add([event for event in events if event.instant_ns < until_ns], _GRAIN_NS)
         apart = [one for one in apart if one[0] < until_ns]
         self._settled_beside += sum(led < 0 for _, led in apart)
         self._settled_bounces += sum(at_ns < until_ns for at_ns, _ in self._contacts) - len(apart)

@@ -187,7 +187,7 @@ class OutgoingMessages:
         now_ns: int,
     ) -> Iterator[Outbound]:
         """Yield the messages of any other sample. wanted: publications that have subscribers."""
-        chosen = [one for one in source.publications if one in wanted]
+        chosen = [publication for publication in source.publications if publication in wanted]
         if source.content is RosContent.UNIT and not chosen:
             self._numbers.forget(source.topic)
         elif missed := self._numbers.handle_sample(source.topic, stamp.sequence):

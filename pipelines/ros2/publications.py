@@ -191,7 +191,7 @@ def sources_of(topology: Topology) -> tuple[RosSource, ...]:
 def publications_of(sources: Iterable[RosSource]) -> tuple[Publication, ...]:
     """Return all topics of ROS 2 that these and a session itself become, each once."""
     own = (DIAGNOSTICS_TOPIC, CHAT_TOPIC, SETUP_TOPIC)
-    found = (one for source in sources for one in source.publications)
+    found = (publication for source in sources for publication in source.publications)
     return tuple(dict.fromkeys((*own, *found)))
 
 

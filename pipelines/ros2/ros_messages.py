@@ -135,7 +135,7 @@ class RosMessages:
     def read_joy(self, octets: bytes) -> JoyMessage:
         """Return a `sensor_msgs/Joy`; ProtocolError for octets of anything else."""
         joy = self._read(octets, JOY)
-        return JoyMessage(tuple(joy.axes.tolist()), tuple(bool(one) for one in joy.buttons))
+        return JoyMessage(tuple(joy.axes.tolist()), tuple(bool(button) for button in joy.buttons))
 
     def read_velocity(self, octets: bytes) -> Velocity:
         """Return a `geometry_msgs/TwistStamped`; ProtocolError for octets of anything else."""

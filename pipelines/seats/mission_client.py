@@ -26,11 +26,11 @@ def level_of(application: Application, parameter: Parameter, value: Value) -> te
     """
     if isinstance(value, str | bool) or not isfinite(value):
         return "none"
-    monitors = [one for one in application.monitors if one.parameter == parameter.name]
+    monitors = [monitor for monitor in application.monitors if monitor.parameter == parameter.name]
     level: texts.Level = "none"
     limits: list[tuple[texts.Level, float | None, float | None]] = [
         ("warn", parameter.low, parameter.high),
-        *(("bad", one.low, one.high) for one in monitors),
+        *(("bad", monitor.low, monitor.high) for monitor in monitors),
     ]
     for words, low, high in limits:
         if (low is not None and value < low) or (high is not None and value > high):
@@ -42,7 +42,7 @@ def level_of(application: Application, parameter: Parameter, value: Value) -> te
 
 def application_texts(dictionary: Dictionary) -> tuple[texts.ApplicationText, ...]:
     """What a page must know of the applications once."""
-    return tuple(_application_text(one) for one in dictionary.applications)
+    return tuple(_application_text(application) for application in dictionary.applications)
 
 
 def _application_text(one: Application) -> texts.ApplicationText:
@@ -66,9 +66,9 @@ class TelemetryLog:
 
     def __init__(self, dictionary: Dictionary) -> None:
         self._known = {
-            (one.name, parameter.name): (one, parameter)
-            for one in dictionary.applications
-            for parameter in one.parameters
+            (application.name, parameter.name): (application, parameter)
+            for application in dictionary.applications
+            for parameter in application.parameters
         }
         self._values: dict[tuple[str, str], tuple[Value, int]] = {}
         self._events: deque[texts.EventLine] = deque(maxlen=_MOST_EVENTS)

@@ -163,8 +163,8 @@ def seat_plan(
         applications=application_texts(dictionary),
         tasks=tasked,
         task_list=tuple(
-            texts.TaskText(name=one.name, text=one.text)
-            for one in (() if tasks is None else tasks.tasks.values())
+            texts.TaskText(name=task.name, text=task.text)
+            for task in (() if tasks is None else tasks.tasks.values())
         ),
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),

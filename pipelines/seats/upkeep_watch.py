@@ -92,8 +92,8 @@ def software_in(directory: Path, end: str) -> Iterator[SoftwareText]:
                     inbox=path.parent.name,
                     written=f"{datetime.fromtimestamp(written_s, UTC):%Y-%m-%d %H:%M:%S}",
                     answers=tuple(
-                        f"{one.file}: {'taken' if one.taken else 'refused'}, {one.text}"
-                        for one in told.answers
+                        f"{answer.file}: {'taken' if answer.taken else 'refused'}, {answer.text}"
+                        for answer in told.answers
                     ),
                 )
 

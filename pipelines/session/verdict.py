@@ -158,4 +158,4 @@ class ProcessNow:
 
 def process_failures(processes: Iterable[ProcessNow]) -> list[str]:
     """Return a line for each process that did not do its work."""
-    return [f"{one.name}: {one.trouble}" for one in processes if one.trouble]
+    return [f"{process.name}: {process.trouble}" for process in processes if process.trouble]

@@ -94,13 +94,13 @@ class StudyReport:
 
 def study_report(plan: StudyPlan, results: Sequence[TrialResult]) -> StudyReport:
     """Analyse the results. Needs scipy."""
-    known = [one.participant for one in results]
+    known = [result.participant for result in results]
     through = [one for one in sorted({*known}) if known.count(one) >= plan.trials_each]
-    rows = [one for one in results if one.counts and one.participant in through]
+    rows = [result for result in results if result.counts and result.participant in through]
     cells: list[Cell] = []
     effects: list[Effect] = []
     for task in plan.tasks:
-        own = [one for one in rows if one.task == task.name]
+        own = [row for row in rows if row.task == task.name]
         for name, measure, unit, scale in _MEASURES:
             table = scale * _table(plan, own, name)
             if len(table) < LEAST_PARTICIPANTS:
@@ -113,8 +113,8 @@ def study_report(plan: StudyPlan, results: Sequence[TrialResult]) -> StudyReport
         note=plan.note,
         participants=tuple(through),
         unfinished=tuple(sorted({*known} - {*through})),
-        missed=sum(one.missed for one in rows),
-        voids=sum(one.attempts - 1 for one in rows),
+        missed=sum(row.missed for row in rows),
+        voids=sum(row.attempts - 1 for row in rows),
         cells=tuple(cells),
         effects=tuple(holm(effects)),
     )
@@ -123,11 +123,11 @@ def study_report(plan: StudyPlan, results: Sequence[TrialResult]) -> StudyReport
 def _table(plan: StudyPlan, rows: Sequence[TrialResult], name: str) -> _Table:
     """A row for each participant, a column for each condition; who lacks one is left out."""
     found = []
-    for participant in sorted({one.participant for one in rows}):
+    for participant in sorted({row.participant for row in rows}):
         values: list[list[float]] = [[] for _ in plan.handle.conditions]
-        for one in rows:
-            if one.participant == participant and (value := getattr(one, name)) is not None:
-                values[plan.handle.conditions.index(one.condition)].append(value)
+        for row in rows:
+            if row.participant == participant and (value := getattr(row, name)) is not None:
+                values[plan.handle.conditions.index(row.condition)].append(value)
         if all(values):
             found.append([float(np.mean(each)) for each in values])
     return np.array(found, float).reshape(-1, len(plan.handle.conditions))
@@ -237,8 +237,8 @@ def summary_of(report: StudyReport) -> Iterator[str]:
 
 
 def account_of_study(report: StudyReport) -> str:
-    found = [one for one in report.effects if one.differs]
-    rows = map(effect_words, [*found, *(one for one in report.effects if not one.differs)])
+    found = [effect for effect in report.effects if effect.differs]
+    rows = map(effect_words, [*found, *(effect for effect in report.effects if not effect.differs)])
     parts = [
         f"<h1>{escape(report.plan)}</h1>",
         *(f"<p>{escape(line)}</p>" for line in summary_of(report)),

@@ -89,7 +89,7 @@ class StudyFolder(Closing):
     @property
     def finished(self) -> Counter[int]:
         """How many trials of each participant have finished."""
-        return Counter(one.participant for one in self.results)
+        return Counter(result.participant for result in self.results)
 
     def add(self, result: TrialResult) -> None:
         """Keep a trial; it is on the disk when this returns."""
@@ -130,9 +130,9 @@ class StudyFolder(Closing):
 
 def write_tables(path: Path, results: Sequence[TrialResult], report: StudyReport) -> list[Path]:
     """Write trials and effects as CSV and as one MATLAB file, and the account; their paths."""
-    trials = [_NAMES, *(astuple(one) for one in results)]
+    trials = [_NAMES, *(astuple(result) for result in results)]
     names = tuple(field.name for field in fields(report.effects[0])) if report.effects else ()
-    effects = [names, *(astuple(one) for one in report.effects)]
+    effects = [names, *(astuple(effect) for effect in report.effects)]
     found = [path / name for name in ("trials.csv", "effects.csv", "study.mat", "report.html")]
     with refused(f"{path}: cannot be written"):
         for file, table in zip(found, (trials, effects), strict=False):
@@ -148,8 +148,8 @@ def _columns(results: Sequence[TrialResult]) -> dict[str, Column]:
     """A column for each field; NaN where a trial has no such figure."""
     found: dict[str, Column] = {}
     for name in _NAMES:
-        values = [getattr(one, name) for one in results]
-        texts = values if all(isinstance(one, str) for one in values) else None
+        values = [getattr(result, name) for result in results]
+        texts = values if all(isinstance(value, str) for value in values) else None
         found[name] = np.array(values, np.float64) if texts is None else texts
     return found
 

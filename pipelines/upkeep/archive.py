@@ -93,7 +93,7 @@ class SessionArchive(Closing):
             )
             base.executemany("insert into figure values (?, ?, ?)", metrics)
             base.executemany(
-                "insert into event values (?, ?, ?)", ((number, *one) for one in events)
+                "insert into event values (?, ?, ?)", ((number, *event) for event in events)
             )
         return True
 

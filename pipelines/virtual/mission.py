@@ -167,8 +167,8 @@ class SimulatedTmtc:
 
     def _tell_processes(self, now_ns: int) -> None:
         self._agenda.at(now_ns + _PROCESSES_NS, self._tell_processes)
-        for one in self._segments.values():
-            one.handle_processes(self._running, now_ns)
+        for segment in self._segments.values():
+            segment.handle_processes(self._running, now_ns)
 
     def _work(self, segment: Segment, now_ns: int) -> None:
         one, send = self._segments[segment], self._send[segment]

@@ -325,8 +325,8 @@ class FileEntity:
         """When `poll_transmit` has something next; None: not before the next input."""
         if not self._running:
             return None
-        due = [one.poll_timeout() for one in self._senders.values()]
-        due += [one.poll_timeout() for one in self._receivers.values()]
+        due = [sender.poll_timeout() for sender in self._senders.values()]
+        due += [receiver.poll_timeout() for receiver in self._receivers.values()]
         timeout_ns, expected = self._pace.timeout_ns, self._expected.items()
         due += [one.heard_ns + timeout_ns for key, one in expected if key not in self._senders]
         due_ns = min((one for one in due if one is not None), default=None)

@@ -217,9 +217,9 @@ class ServiceStreams:
         if not self.open:
             return None
         at_ns, streams = self._time(now_ns), self._streams.values()
-        due = [now_ns + one.deadline_ns - at_ns for one in streams]
+        due = [now_ns + stream.deadline_ns - at_ns for stream in streams]
         if self._room:
-            send = [one.poll_timeout() for one in streams]
+            send = [stream.poll_timeout() for stream in streams]
             send_ns = 0 if self._answers else min(send)
             free_ns = self._bucket.holds_ns(MOST_OCTETS, now_ns)
             due.append(max(now_ns + send_ns - at_ns, free_ns))
@@ -241,7 +241,7 @@ class ServiceStreams:
         return self._random.randrange(1, _TOKENS)
 
     def _count(self, *, mine: bool) -> int:
-        return sum(one.mine == mine for one in self._streams.values())
+        return sum(stream.mine == mine for stream in self._streams.values())
 
     def _add(self, opening: OpenService, *, mine: bool, answer: int, now_ns: int) -> None:
         self._streams[opening.token] = ServiceStream(

@@ -450,7 +450,7 @@ class TopKernel:
         if told is None:
             return None
         steps = sum(isinstance(one, BY_COSMONAUT) for one in self._operation.elemops)
-        later = sum(isinstance(one, BY_COSMONAUT) for one in self._steps)
+        later = sum(isinstance(step, BY_COSMONAUT) for step in self._steps)
         left_ns = round(self._check.lasts_s * NS_PER_S) - (now_ns - self._began_ns)
         return replace(
             told, run=run, step=steps - later, steps=steps, left_ms=max(0, left_ns) // NS_PER_MS

@@ -194,7 +194,7 @@ def load_components(specs: Sequence[str], dictionary: Dictionary) -> tuple[Compo
 
 def with_components(dictionary: Dictionary, components: Iterable[Component]) -> Dictionary:
     """Return `dictionary` with the tables of components. ConfigError for a name that is taken."""
-    added = (one.application for one in components)
+    added = (component.application for component in components)
     return Dictionary(applications=(*dictionary.applications, *added))
 
 
@@ -202,8 +202,8 @@ def application_of(source: TelemetrySource, apid: int) -> Application:
     """Return the table of a component; ConfigError for what cannot be."""
     if not source.name:
         raise ConfigError("the component has no name: give it one")
-    kinds = [[one.name for one in source.parameters]]
-    kinds += [[one.name for one in source.events], [one.name for one in source.functions]]
+    kinds = [[parameter.name for parameter in source.parameters]]
+    kinds += [[event.name for event in source.events], [one.name for one in source.functions]]
     for name in (source.name, *chain(*kinds)):
         if not name.isidentifier() or not name.isascii() or len(name) > _LONGEST_NAME:
             raise ConfigError(
@@ -245,16 +245,16 @@ def _structures(parameters: Sequence[TelemetryParameter], table: Application) ->
     reports: list[tuple[float, list[str]]] = []
     open_at: dict[float, int] = {}
     octets: dict[float, int] = {}
-    for one in parameters:
-        period_s = one.period_s
+    for parameter in parameters:
+        period_s = parameter.period_s
         if period_s is None:
             continue
-        needed = table.parameter(one.name).octets
+        needed = table.parameter(parameter.name).octets
         if period_s not in open_at or octets[period_s] + needed > MAX_REPORT_OCTETS:
             open_at[period_s], octets[period_s] = len(reports), 1
             reports.append((period_s, []))
         octets[period_s] += needed
-        reports[open_at[period_s]][1].append(one.name)
+        reports[open_at[period_s]][1].append(parameter.name)
     return [
         Structure(
             name=f"report_{number}", number=number, parameters=tuple(names), interval_s=period_s

@@ -196,7 +196,7 @@ class UpdateInbox:
 
 def version_of(name: str) -> str:
     """Return the version that an archive is called after; "" if the file is no archive."""
-    ending = next((one for one in _ARCHIVES if name.endswith(one)), "")
+    ending = next((archive for archive in _ARCHIVES if name.endswith(archive)), "")
     odd = name.startswith(".") or not name.isprintable()
     return "" if not ending or odd else name.removesuffix(ending)
 

@@ -317,7 +317,7 @@ def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name,
 def test_a_task_that_cannot_be_done_here_says_so_and_cannot_be_selected(told):
     texts = texts_of(Segment.GROUND, connected=True)
     idle = {"phase": "idle", "task": ""}
-    page = told("top", [one | idle if one["kind"] == "experiment" else one for one in texts])
+    page = told("top", [text | idle if text["kind"] == "experiment" else text for text in texts])
     shown = {
         button.get_attribute("data-task"): (button.is_enabled(), "needs two hands" in item.text)
         for button, item in (
@@ -334,7 +334,7 @@ def test_a_parameter_that_only_functions_are_given_has_no_row(told):
     page = told("k2sv", texts_of(Segment.GROUND, connected=True))
     rows = page.driver().find_elements("css selector", "tr[data-parameter]")
     # Those of other tabs are not displayed either.
-    shown = {one.get_attribute("data-parameter") for one in rows if not one.get_property("hidden")}
+    shown = {row.get_attribute("data-parameter") for row in rows if not row.get_property("hidden")}
     assert "joystick.state" in shown
     assert not {"ground_supervisor.process", "space_supervisor.process", "tasks.task"} & shown
 

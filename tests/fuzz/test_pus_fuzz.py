@@ -137,7 +137,7 @@ def test_mutated_telemetry_leaves_the_user_usable():
     ends.events()
     ends.user.ping("oven", now_ns=ends.now_ns)
     ends.run(S)
-    assert [one.ok for one in ends.events() if hasattr(one, "ok")] == [True]
+    assert [event.ok for event in ends.events() if hasattr(event, "ok")] == [True]
 
 
 def test_mutated_bodies_of_k2aci_are_refused_or_pack_to_the_same_octets():

@@ -18,7 +18,7 @@ HEADS = st.lists(st.sampled_from([b"\x09\xf0", b"\x06\x05\x01\x80", b"\x67\x42",
 PICTURE = st.builds(
     lambda heads, first, others: (
         heads,
-        [b"\x41\x88" + first, *(b"\x41\x22" + one for one in others)],
+        [b"\x41\x88" + first, *(b"\x41\x22" + other for other in others)],
     ),
     HEADS,
     BODY,

@@ -168,7 +168,7 @@ class Browser:
 
     def assert_no_errors(self, *, server_gone=False):
         """Assert that no script failed. server_gone: the test took the server away."""
-        found = [one for one in self.errors() if not (server_gone and _NO_ANSWER in one)]
+        found = [error for error in self.errors() if not (server_gone and _NO_ANSWER in error)]
         assert found == []
 
 

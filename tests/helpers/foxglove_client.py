@@ -52,7 +52,7 @@ class FoxgloveClient:
         self.process.stdin.flush()
 
         def answered():
-            found = [one for one in self.answers("callId") if one["callId"] == number]
+            found = [answer for answer in self.answers("callId") if answer["callId"] == number]
             return found[0] if found else None
 
         return eventually(answered, f"an answer of {service}")
@@ -63,8 +63,8 @@ class FoxgloveClient:
 
     def messages(self):
         return [
-            (one["topic"], int(one["log_ns"]), base64.b64decode(one["data"]))
-            for one in self.answers("topic")
+            (answer["topic"], int(answer["log_ns"]), base64.b64decode(answer["data"]))
+            for answer in self.answers("topic")
         ]
 
     def end(self):

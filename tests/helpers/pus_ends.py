@@ -158,4 +158,4 @@ class Ends:
 
     def events(self, *kinds: type) -> list[Any]:
         """What the user has to say, or only events of `kinds`."""
-        return [one for one in events(self.user) if not kinds or isinstance(one, kinds)]
+        return [event for event in events(self.user) if not kinds or isinstance(event, kinds)]

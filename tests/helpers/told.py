@@ -16,8 +16,8 @@ def message(*metrics, rows=(), stream="", **others):
     kinds = dict.fromkeys(map(type, rows))
     told = [series([row for row in rows if type(row) is kind], stream) for kind in kinds]
     made = Message(series=told, **others)
-    for one in metrics:
-        made.publish(one, stream)
+    for metric in metrics:
+        made.publish(metric, stream)
     return made
 
 

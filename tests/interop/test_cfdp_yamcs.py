@@ -130,7 +130,7 @@ def test_files_go_both_ways_while_pdus_are_lost(tmp_path):
 
         def ended():
             over = down.state in (DONE, FAILED) and "up.bin" in end.files
-            return over and all(one["state"] != "RUNNING" for one in transfers().values())
+            return over and all(transfer["state"] != "RUNNING" for transfer in transfers().values())
 
         lost = run(end, udp, ("127.0.0.1", into), ended, seed=1)
         assert (down.state, down.reason) == (DONE, "")

@@ -78,12 +78,12 @@ def received(units, lost, begin=0):
     found, sequence = {}, 0
 
     def show(pictures):
-        for one in pictures:
+        for picture in pictures:
             stamp = receiver.handle_picture(
-                one.timestamp, one.width, one.height, 0, corrupt=one.corrupt
+                picture.timestamp, picture.width, picture.height, 0, corrupt=picture.corrupt
             )
             fresh = stamp is not None and stamp.quality is Quality.FRESH
-            found[one.timestamp] = fresh, digest(one.to_i420())
+            found[picture.timestamp] = fresh, digest(picture.to_i420())
 
     def take():
         while (unit := receiver.next_event()) is not None:

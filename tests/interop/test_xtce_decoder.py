@@ -31,19 +31,19 @@ def test_it_reads_every_packet_of_a_session_in_both_directions(tmp_path: Path) -
     assert all(len(session.carried[one]) == len(session.packets[one]) for one in Segment)
     packets = decoded(built_in_dictionary(), b"".join([*down, *up]), tmp_path)
     assert len(packets) == len(up) + len(down) >= 30
-    commands = [one for one in packets if one["TYPE"] == 1]
-    selected = [one["camera_camera"] for one in commands if "camera_camera" in one]
+    commands = [packet for packet in packets if packet["TYPE"] == 1]
+    selected = [command["camera_camera"] for command in commands if "camera_camera" in command]
     assert selected == ["static", "stereo"]
-    kinds = {(one["SERVICE"], one["SUBTYPE"]) for one in packets}
+    kinds = {(packet["SERVICE"], packet["SUBTYPE"]) for packet in packets}
     assert {(1, 1), (1, 3), (1, 7), (3, 25), (8, 1), (17, 1), (17, 2), (20, 1), (129, 1)} <= kinds
     about = [(one["SERVICE"], one["SUBTYPE"]) for one in packets if one["PKT_APID"] == 0x133]
     assert [about.count((1, subtype)) for subtype in (1, 3, 7)] == [3, 3, 3]
     reports = [one for one in session.of(Segment.GROUND, Reported) if one.application == "joystick"]
-    told = [one.values for one in reports if one.name == "state"]
+    told = [report.values for report in reports if report.name == "state"]
     read = [
-        {name: one[f"joystick_{name}"] for name in told[0]}
-        for one in packets
-        if one["PKT_APID"] == 0x120 and one["SERVICE"] == 3
+        {name: packet[f"joystick_{name}"] for name in told[0]}
+        for packet in packets
+        if packet["PKT_APID"] == 0x120 and packet["SERVICE"] == 3
     ]
     assert len(read) == len(told) >= 11
     for one, other in zip(read, told, strict=True):
@@ -63,10 +63,10 @@ def test_it_reads_the_reports_and_calls_of_a_users_component(tmp_path: Path) -> 
         for one in decoded(mission.dictionary, b"".join(mission.packets), tmp_path)
         if one["PKT_APID"] == mission.table.apid
     ]
-    reports = [one for one in packets if "STRUCTURE" in one]
+    reports = [packet for packet in packets if "STRUCTURE" in packet]
     assert {(one["battery_voltage"], one["battery_limit"]) for one in reports} == {(11.0, 20)}
-    (low,) = [one for one in packets if "EVENT" in one]
+    (low,) = [packet for packet in packets if "EVENT" in packet]
     assert (low["SUBTYPE"], low["battery_voltage"]) == (3, 11.0)
-    assert [one["battery_cell"] for one in packets if "battery_cell" in one] == ["b"]
-    (failure,) = [one for one in packets if "REASON" in one]
+    assert [packet["battery_cell"] for packet in packets if "battery_cell" in packet] == ["b"]
+    (failure,) = [packet for packet in packets if "REASON" in packet]
     assert failure["REASON"] == "target is 99: give at least 11.1 and at most 14.4"

@@ -301,13 +301,13 @@ def test_every_process_shares_a_core_with_the_simulation():
     while more := set().union(*map(cores_imported, simulated)) - simulated:
         simulated |= more
     processes = [module for module in modules() if PROCESS.fullmatch(module)]
-    assert [one for one in processes if not cores_imported(one) & simulated] == []
+    assert [process for process in processes if not cores_imported(process) & simulated] == []
 
 
 def test_the_lists_have_no_unused_entry():
     shells = {f"{room}/{name}.py" for room, names in SHELLS.items() for name in names.split()}
-    opened = {one for one in shells & {*modules()} if imported(one) - {*ORDER, *PURE}}
-    assert {one for one in shells - opened if not names_from_shells(one)} == set()
+    opened = {shell for shell in shells & {*modules()} if imported(shell) - {*ORDER, *PURE}}
+    assert {shell for shell in shells - opened if not names_from_shells(shell)} == set()
     for name, places in LIBRARIES.items():
         for place in places.split():
             assert any(name in imported(one) for one in modules() if one.startswith(place)), place

@@ -176,7 +176,7 @@ class Run:
             }
 
             def enough():
-                counts = Counter(one["topic"] for one in looker.answers("topic"))
+                counts = Counter(answer["topic"] for answer in looker.answers("topic"))
                 return all(counts[topic] > count for topic, count in wanted.items())
 
             eventually(enough, "messages of all kinds", pause_s=0.5)

@@ -69,8 +69,8 @@ def test_the_robot_in_c_passes_its_check_with_a_key(controller, tmp_path):
         figure.name for one in results for figure in one.metrics if one.trouble or not figure.passed
     }
     assert failed <= {"its calls, p99.9", "same in motion", "steps"}
-    assert not [one.trouble for one in results if one.trouble]
-    assert "silence" in [one.name for one in results]
+    assert not [result.trouble for result in results if result.trouble]
+    assert "silence" in [result.name for result in results]
     metrics = device.metrics()
     assert metrics.udp_sessions >= 1
     assert metrics.udp_foreign == metrics.udp_malformed == 0

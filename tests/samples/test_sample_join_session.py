@@ -59,7 +59,7 @@ async def use(running):
         pictures = session.pictures()
         ages = [(await anext(pictures)).age_ms]
         ending = asyncio.create_task(asyncio.to_thread(running.interrupt))
-        ages += [one.age_ms async for one in pictures]
+        ages += [picture.age_ms async for picture in pictures]
         assert all(0 < age < 60_000 for age in ages)
         assert pictures.ended == f"session {session.name} has ended"
         return await ending

@@ -132,7 +132,7 @@ def test_hands_that_meet_fast_break_no_limit_of_force():
         readings = bench.lead(
             0.001, right=(0.06 - 0.25 * met_s, 0.0), left=(0.15 * met_s - 0.06, 0.0)
         )
-        most_n = max(most_n, *(hypot(one.push_x_n, one.push_y_n) for one in readings))
+        most_n = max(most_n, *(hypot(reading.push_x_n, reading.push_y_n) for reading in readings))
     assert 10.0 < most_n < SpaceJustin.capabilities.force_limit_n
 
 

@@ -33,7 +33,7 @@ def test_the_tasks_of_a_plan_are_done_over_the_link(tmp_path):
         ("line", 2, "finished"),
     ]
     for run in report.tasks:
-        assert [one.step for one in run.steps] == list(STEPS)
+        assert [step.step for step in run.steps] == list(STEPS)
         assert run.seconds > 0 and run.path_m > 0.05 and run.frames_lost == 0
     assert to_json(again) == to_json(report)
 

@@ -90,7 +90,7 @@ class LeRobotExport:
             _Camera(topic, with_metadata=f"{topic}{_METADATA}" in channels)
             for topic in (stream, *sorted(cameras))
         ]
-        self._takers = {topic: one for one in self._cameras for topic in one.topics}
+        self._takers = {topic: camera for camera in self._cameras for topic in camera.topics}
         self._directory, self._recording, self._fps = directory, recording, fps
         self._haptics = TableCollector(recording.begin_ns)
         self._tasks = TaskRuns()
@@ -328,8 +328,8 @@ class _Writing:
     def _add(self, run: Run, instants_ns: NDArray[np.int64]) -> None:
         number, count = len(self.episodes), len(instants_ns)
         placed = {
-            one.key: place_pictures(one.captures_ns, instants_ns, self._fps)
-            for one in self._cameras
+            camera.key: place_pictures(camera.captures_ns, instants_ns, self._fps)
+            for camera in self._cameras
         }
         leading = placed[self._cameras[0].key]
         captured = self._cameras[0].captures_ns[leading.pictures]
@@ -396,7 +396,7 @@ class _Writing:
     def end(self) -> None:
         import pyarrow as pa
 
-        rows = {key: np.concatenate([one[key] for one in self._rows]) for key in self._rows[0]}
+        rows = {key: np.concatenate([row[key] for row in self._rows]) for key in self._rows[0]}
         stats = {key: _stats(value) for key, value in rows.items()}
         stats |= {key: colours.stats() for key, colours in self._all_colours.items()}
         columns = {
@@ -420,24 +420,24 @@ class _Writing:
             f"{self._directory}: {self._total} rows in {len(self.episodes)} episodes, "
             f"{self._fps} rows a second"
         ]
-        for one in self._cameras:
+        for camera in self._cameras:
             told.append(
-                f"{one.key}: {self._repeated[one.key]} rows repeat a picture, "
-                f"{self._left_out[one.key]} pictures left out for a newer one of the same row"
+                f"{camera.key}: {self._repeated[camera.key]} rows repeat a picture, "
+                f"{self._left_out[camera.key]} pictures left out for a newer one of the same row"
             )
-            if one.unreadable:
-                told.append(f"{one.topic}: {one.unreadable} messages are no pictures")
+            if camera.unreadable:
+                told.append(f"{camera.topic}: {camera.unreadable} messages are no pictures")
         if self._old:
             told.append(f"{self._old} rows have a cycle of the robot that is older than 20 ms")
         return told
 
     def _info(self, rows: Mapping[str, NDArray[Any]]) -> dict[str, object]:
         features: dict[str, object] = {}
-        for one in self._cameras:
-            width, height = one.size
+        for camera in self._cameras:
+            width, height = camera.size
             told = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p"}
             told |= {"is_depth_map": False, "fps": self._fps, "channels": 3}
-            features[one.key] = {
+            features[camera.key] = {
                 "dtype": "video",
                 "shape": [height, width, 3],
                 "names": ["height", "width", "channels"],

@@ -83,7 +83,7 @@ def open_gamepad(
     """
     evdev = _library()
     if not path:
-        usable = [one for one in find_gamepads(folder) if not one.problem]
+        usable = [gamepad for gamepad in find_gamepads(folder) if not gamepad.problem]
         if not usable:
             raise ConfigError(
                 "no game controller here: plug one in (`kontur-av joystick list` shows what is "

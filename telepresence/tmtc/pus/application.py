@@ -114,8 +114,8 @@ class PusApplication:
         self._housekeeping = HousekeepingReports(application, now_ns)
         self._monitors = LimitMonitors(application)
         self._actions = EventActions(application)
-        self._functions = {one.number: one for one in application.functions}
-        self._parameters = {one.number: one for one in application.parameters}
+        self._functions = {function.number: function for function in application.functions}
+        self._parameters = {parameter.number: parameter for parameter in application.parameters}
         self._silent_events: set[int] = set()
         self._known: OrderedDict[Telecommand, _Known] = OrderedDict()
         self._open: dict[int, _Known] = {}
@@ -194,9 +194,9 @@ class PusApplication:
         """Report the event `name` of the dictionary with its arguments, and start its actions."""
         event = self.table.event(name)
         # Without all its arguments an event cannot be read.
-        known = all(one in self.values for one in event.arguments)
+        known = all(argument in self.values for argument in event.arguments)
         if known and event.number not in self._silent_events:
-            values = [self.values[one] for one in event.arguments]
+            values = [self.values[argument] for argument in event.arguments]
             data = pack_values(self.table.named(event.arguments), values)
             subtype = SEVERITIES.index(event.severity) + 1
             self.events_reported += 1
@@ -324,19 +324,19 @@ class PusApplication:
         return data[1:]
 
     def _switch_events(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
-        known = {one.number for one in self.table.events}
+        known = {event.number for event in self.table.events}
         numbers = set(self._numbers(command, known.__contains__, "event"))
         self._silent_events = self._silent_events - numbers if on else self._silent_events | numbers
         return ""
 
     def _switch_monitors(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
-        known = {one.number for one in self.table.monitors}
+        known = {monitor.number for monitor in self.table.monitors}
         for number in self._numbers(command, known.__contains__, "monitor"):
             self._monitors.set_on(number, on=on)
         return ""
 
     def _switch_actions(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
-        with_actions = {self.table.event(one.event).number for one in self.table.actions}
+        with_actions = {self.table.event(action.event).number for action in self.table.actions}
         for number in self._numbers(command, with_actions.__contains__, "event with an action"):
             self._actions.set_on(number, on=on)
         return ""

@@ -86,7 +86,7 @@ class HousekeepingReports:
 
     def poll_timeout(self) -> int | None:
         """When the next report is due, or None."""
-        return min((one.due_ns for one in self._reports.values() if one.on), default=None)
+        return min((report.due_ns for report in self._reports.values() if report.on), default=None)
 
     def pack(self, structure: Structure, values: dict[str, Value]) -> bytes | None:
         """The data of a report, or None while a parameter has no value."""
@@ -123,7 +123,7 @@ class LimitMonitors:
     """
 
     def __init__(self, application: Application) -> None:
-        self._watches = {one.number: _Watch(one.on) for one in application.monitors}
+        self._watches = {monitor.number: _Watch(monitor.on) for monitor in application.monitors}
         self._monitors = application.monitors
 
     def set_on(self, number: int, *, on: bool) -> None:
@@ -176,9 +176,9 @@ class EventActions:
     """Which functions follow an event."""
 
     def __init__(self, application: Application) -> None:
-        self._events = {one.number: one.name for one in application.events}
+        self._events = {event.number: event.name for event in application.events}
         self._actions = application.actions
-        self._on = [one.on for one in application.actions]
+        self._on = [action.on for action in application.actions]
 
     def set_on(self, event_number: int, *, on: bool) -> None:
         """Switch all actions of an event."""

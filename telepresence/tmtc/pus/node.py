@@ -95,7 +95,7 @@ class PusNode:
     ) -> None:
         if rate_bps <= 0:
             raise ConfigError("PUS needs a rate above 0")
-        self.applications = {one.table.apid: one for one in applications}
+        self.applications = {application.table.apid: application for application in applications}
         self.user = user
         self.k2aci = k2aci
         self.sent = 0
@@ -169,7 +169,7 @@ class PusNode:
         """When `poll_transmit` has something next, or None."""
         if self._next is not None:
             return self._bucket.holds_ns(len(self._next[0]), now_ns)
-        parts = [one.poll_timeout() for one in self.applications.values()]
+        parts = [application.poll_timeout() for application in self.applications.values()]
         if self.user is not None:
             parts.append(self.user.poll_timeout())
         if self.k2aci is not None:

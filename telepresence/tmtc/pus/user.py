@@ -252,7 +252,7 @@ class PusUser:
         others = sum(self._is_foreign(one.item.command.source) for _, one in self._open)
         if self._open.full or others >= _MOST_FOREIGN:
             return None
-        newest = {bytes([one.number]) for one in table.functions if one.newest}
+        newest = {bytes([function.number]) for function in table.functions if function.newest}
         if (command.service, command.subtype) == (8, 1) and command.data[:1] in newest:
             self._supersede(table.apid, command.data[:1], now_ns)
         source = edition * _FOREIGN_MODULUS + self.foreign

@@ -197,7 +197,7 @@ def _base(metas: ElementTree.Element, source: int) -> None:
 
 def _script(good: Iterable[int], bad: Iterable[int]) -> str:
     def among(subtypes: Iterable[int]) -> str:
-        return " || ".join(f"+subtype.value == {one}" for one in subtypes)
+        return " || ".join(f"+subtype.value == {subtype}" for subtype in subtypes)
 
     # Two boxed integers of Java are equal by identity only; a sign makes them numbers.
     return (
@@ -224,17 +224,17 @@ class _Commands:
     ) -> None:
         self._types, self._metas, self._table = types, metas, application
         #: A function that is called like another telecommand goes before it.
-        self._taken = {one.name for one in application.functions}
+        self._taken = {function.name for function in application.functions}
 
     def add_all(self) -> None:
         table = self._table
         for function in table.functions:
             arguments = self._arguments(function.name, table.named(function.arguments))
             self._add(function.name, (8, 1), function.text, (function.number,), arguments)
-        events = [(one.number, one.name) for one in table.events]
-        acting = {one.event for one in table.actions}
-        structures = [(one.number, one.name) for one in table.structures]
-        monitors = [(one.number, one.name) for one in table.monitors]
+        events = [(event.number, event.name) for event in table.events]
+        acting = {action.event for action in table.actions}
+        structures = [(structure.number, structure.name) for structure in table.structures]
+        monitors = [(monitor.number, monitor.name) for monitor in table.monitors]
         for name, message, of in (
             ("report", (3, 27), structures),
             ("on", (3, 5), structures),
@@ -243,8 +243,8 @@ class _Commands:
             ("events_off", (5, 6), events),
             ("limits_on", (12, 1), monitors),
             ("limits_off", (12, 2), monitors),
-            ("actions_on", (19, 4), [one for one in events if one[1] in acting]),
-            ("actions_off", (19, 5), [one for one in events if one[1] in acting]),
+            ("actions_on", (19, 4), [event for event in events if event[1] in acting]),
+            ("actions_off", (19, 5), [event for event in events if event[1] in acting]),
             ("get", (20, 1), [(one.number, one.name) for one in table.parameters]),
         ):
             if of and name not in self._taken:
@@ -253,18 +253,18 @@ class _Commands:
                 self._add(name, message, "", (1,), (which,))
         if "ping" not in self._taken:
             self._add("ping", (17, 1))
-        for one in table.parameters:
-            name = f"set_{one.name}"
-            if one.writable and name not in self._taken:
-                arguments = self._arguments(name, (one,))
-                self._add(name, (20, 3), one.text, (1, one.number), arguments)
+        for parameter in table.parameters:
+            name = f"set_{parameter.name}"
+            if parameter.writable and name not in self._taken:
+                arguments = self._arguments(name, (parameter,))
+                self._add(name, (20, 3), parameter.text, (1, parameter.number), arguments)
 
     def _arguments(self, name: str, parameters: Iterable[Parameter]) -> tuple[_Argument, ...]:
         found = []
-        for one in parameters:
-            kind = f"{self._table.name}_{name}_{one.name}_TYPE"
-            add_type(self._types, "Argument", kind, one)
-            found.append(_Argument(one.name, kind, one.text))
+        for parameter in parameters:
+            kind = f"{self._table.name}_{name}_{parameter.name}_TYPE"
+            add_type(self._types, "Argument", kind, parameter)
+            found.append(_Argument(parameter.name, kind, parameter.text))
         return tuple(found)
 
     def _add(

@@ -44,7 +44,7 @@ def test_every_bench_is_in_the_plan_and_every_command_is_one(length):
 
 def test_live_benches_run_at_least_three_times_and_a_record_is_read_as_it_was_written(tmp_path):
     virtual = ("haptics", "sync", "passes", "tasks")
-    runs = {one.name: one.runs for one in measurements("quick")}
+    runs = {measurement.name: measurement.runs for measurement in measurements("quick")}
     assert runs == {name: 1 if name in virtual else LIVE_RUNS for name in runs}
     assert LIVE_RUNS >= 3
     plan = measurements("quick", "latency,haptics,cpu")

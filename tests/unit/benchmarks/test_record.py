@@ -21,7 +21,7 @@ def test_a_longer_loss_or_damage_is_a_failure():
             without=(), recorded=(),
         )  # fmt: skip
         assert result.sound is not bool(bad)
-        assert any(one.met is False for one in headlines(result)) is bool(bad)
+        assert any(headline.met is False for headline in headlines(result)) is bool(bad)
 
 
 SECONDS = 3.0

@@ -35,7 +35,7 @@ def test_each_leg_and_each_receiver_has_its_column_and_a_loss_over_the_radio_is_
         receptions=(reception(OURS, 1.0), reception(PEER, 34.0), reception(PEER, 36.0)),
         sessions=(session(NO_LEG, 60.0), session(CUT, 61.0), session(CUT, 65.0, lost=2)),
     )
-    found = {(one.what, one.who): one for one in headlines(result)}
+    found = {(headline.what, headline.who): headline for headline in headlines(result)}
     assert found["capture to pixel, p99", "partner's page"].value == 9
     assert found["picture, sent to decoded, p50", PEER].value == 35
     assert found["uplink_video, capture to display, p99", CUT].value == 63

@@ -21,4 +21,4 @@ CODE = b"\0\0\1"
     ],
 )
 def test_octets_between_start_codes_are_nal_units(stream, units):
-    assert split_annex_b(stream) == [bytes.fromhex(one) for one in units.split()]
+    assert split_annex_b(stream) == [bytes.fromhex(word) for word in units.split()]

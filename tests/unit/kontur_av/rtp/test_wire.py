@@ -46,4 +46,4 @@ def test_a_compound_packet_is_read_as_far_as_it_is_well_formed():
 def test_timestamps_are_counted_on_across_their_end():
     unwrapper = TimestampUnwrapper()
     ticks = [0, 5, 3, 2**31, 2**31 + 100, 2**32 + 5, 2**32]
-    assert [unwrapper.unwrap((2**32 - 10 + one) % 2**32) for one in ticks] == ticks
+    assert [unwrapper.unwrap((2**32 - 10 + tick) % 2**32) for tick in ticks] == ticks

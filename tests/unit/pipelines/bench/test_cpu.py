@@ -27,7 +27,7 @@ def test_a_run_is_read_from_its_report_and_ratios_are_computed_for_each_pair():
 
     result = CpuResult("spacejustin", 10.0, runs(1.0, 0.8, 0.9), runs(1.25, 1.0, 1.0))
     assert result.ratios == pytest.approx([0.8, 0.8, 0.9])
-    found = {(one.what, one.who): one.value for one in headlines(result)}
+    found = {(headline.what, headline.who): headline.value for headline in headlines(result)}
     assert found["CPU time, this tree over the other", "pairs"] == pytest.approx(0.8)
     assert found["CPU of a session second, all processes", "other tree"] == pytest.approx(1.0)
     alone = headlines(CpuResult("spacejustin", 10.0, runs(1.0)))

@@ -115,7 +115,7 @@ def test_numbered_pictures_in_one_file_become_a_clip_pixel_by_pixel(tmp_path):
     random = np.random.default_rng(1)
     pictures = random.integers(0, 256, (3, 52, 68), np.uint8)
     path = tmp_path / "three.pgm"
-    path.write_bytes(b"".join(b"P5 68 52 255\n" + one.tobytes() for one in pictures))
+    path.write_bytes(b"".join(b"P5 68 52 255\n" + picture.tobytes() for picture in pictures))
     clip = film(path, "three", 64, 48, 5)
     assert clip.order.tolist() == [0, 1, 2, 1, 0]
     assert not clip.tuned_on

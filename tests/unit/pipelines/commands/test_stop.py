@@ -42,7 +42,7 @@ def held(tmp_path, monkeypatch, silent):
 
 
 def stopped(*sessions):
-    return [KeptOrders(one).stopped for one in sessions]
+    return [KeptOrders(session).stopped for session in sessions]
 
 
 def test_without_a_name_it_stops_all_and_its_release_asks(held, silent, capsys):

@@ -49,7 +49,7 @@ def bridge():
 def joined(bridge, *topics, now_ns=0, commands=True):
     """A client that has subscribed these channels, each by its channel's number."""
     number = bridge.handle_opened(commands=commands)
-    subscriptions = [{"id": CHANNELS[one], "channelId": CHANNELS[one]} for one in topics]
+    subscriptions = [{"id": CHANNELS[topic], "channelId": CHANNELS[topic]} for topic in topics]
     text = json.dumps({"op": "subscribe", "subscriptions": subscriptions})
     bridge.handle_text(number, text, now_ns)
     taken(bridge, number)

@@ -408,7 +408,7 @@ def simulated():
 )
 def test_a_sound_device_passes(device, checks):
     results = checked(device())
-    assert [one.name for one in results if one.failed] == [], results
+    assert [result.name for result in results if result.failed] == [], results
     assert len(results) == checks
 
 
@@ -442,7 +442,7 @@ def test_axes_that_are_not_described_are_said_and_without_motors_only_sensors_ar
     stick = Lever()
     stick.capabilities = replace(stick.capabilities, force_limit_n=0.0)
     results = checked(stick)
-    assert [one.name for one in results if one.failed] == []
+    assert [result.name for result in results if result.failed] == []
     assert {one.name for one in results if one.skipped} >= {"moves", "halt", "missed cycles"}
 
 

@@ -106,7 +106,7 @@ class Bench:
         robots = (self.ours.side.robot, self.partner.robot)
         ways, force = [0.0, 0.0], 0.0
         for _ in range(round(1000 * seconds)):
-            before = [(one.x_m, one.y_m) for one in robots]
+            before = [(robot.x_m, robot.y_m) for robot in robots]
             self.step()
             for index, (one, (x, y)) in enumerate(zip(robots, before, strict=True)):
                 ways[index] += abs(one.x_m - x) + abs(one.y_m - y)

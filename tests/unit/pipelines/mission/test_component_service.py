@@ -72,7 +72,7 @@ def test_its_own_events_and_those_of_its_limits_are_reported_and_kept_for_the_re
     names = [(one.name, one.severity) for one in reported(mission, "event")]
     # Both ends report it to their processes.
     assert names == [("opened", "info")] * 2 + [("low", "medium")] * 2
-    assert [one.what for one in mission.metrics().events] == ["opened", "low: voltage 11 V"]
+    assert [event.what for event in mission.metrics().events] == ["opened", "low: voltage 11 V"]
 
 
 def test_a_value_at_its_limit_raises_no_second_event_before_it_has_come_back(mission):
@@ -137,7 +137,7 @@ def test_what_no_table_has_and_unfit_values_are_faults_and_the_rest_is_told(miss
     mission.run(1)
     assert mission.metrics().faults > 2
     assert mission.ask("parameters", "", "voltage").ok
-    assert "exploded" in str([one.what for one in mission.metrics().events])
+    assert "exploded" in str([event.what for event in mission.metrics().events])
 
 
 def test_a_component_that_says_nothing_is_reported_no_more(mission):

@@ -125,7 +125,7 @@ def test_functions_are_refused_in_words_where_they_cannot_be_done():
     assert "no task 99" in ground.ask("select", 99)
     handshake = list(built_in_tasks().tasks).index("handshake")
     assert "needs two hands" in ground.ask("select", handshake)
-    lacks = {one.name: one.lacks for one in ground.core.shown.tasks}
+    lacks = {task.name: task.lacks for task in ground.core.shown.tasks}
     assert "needs two hands" in lacks["handshake"] and lacks["line"] == ""
     assert ground.ask("select", 0) == ""
     assert "abort it first" in ground.ask("select", 1)
@@ -167,7 +167,7 @@ def test_a_restarted_panel_is_told_its_task_again_or_ends_the_run_as_a_fault_of_
     ground = offered()
     ground.messages.clear()
     ground.panel(k2aci.PanelMode.WAIT_TASK, 0)
-    assert [type(one) for one in ground.messages] == [k2aci.TaskSelected]
+    assert [type(message) for message in ground.messages] == [k2aci.TaskSelected]
     ground = running()
     ground.panel(k2aci.PanelMode.WAIT_TASK, 0)
     ground.go(2)

@@ -71,7 +71,7 @@ def reports(news):
 
 
 def events(news):
-    return [one.name for one in reports(news)]
+    return [report.name for report in reports(news)]
 
 
 def ended(news):
@@ -92,7 +92,7 @@ def test_a_hot_joystick_is_halted_by_a_rule_of_the_dictionary(space):
     assert requests(space, space.status(temperature_c=85.0)) == []
     news = space.status(temperature_c=85.0)
     assert events(news) == ["too_hot"]
-    assert [one.event for one in requests(space, news)] == [JoystickEvent.HALT]
+    assert [request.event for request in requests(space, news)] == [JoystickEvent.HALT]
     # It must cool down before the rule acts again; it does not resume by itself.
     assert requests(space, space.status(temperature_c=85.0)) == []
     space.status(temperature_c=50.0)
@@ -192,7 +192,7 @@ def test_the_dictionary_has_each_measure_of_the_functional_test_and_the_modes_of
         handle.step(0.0, 0.0, S // 1000)
     report = handle.operation.test
     assert report.outcome == "passed"
-    names = {f"test_{one.name.replace(' ', '_')}" for one in report.metrics if one.unit}
+    names = {f"test_{metric.name.replace(' ', '_')}" for metric in report.metrics if metric.unit}
     known = {one.name for one in built_in_dictionary().application("joystick").parameters}
     assert names and names <= known
     mode = built_in_dictionary().application("robot").parameter("mode")
@@ -209,7 +209,7 @@ def robot_status(**changes):
 )
 def test_each_state_is_a_choice_of_its_parameter(parameter, states):
     (found,) = built_in_dictionary().application("robot").named([parameter])
-    assert {str(one) or "none" for one in states} <= {"none", *found.choices}
+    assert {str(state) or "none" for state in states} <= {"none", *found.choices}
 
 
 def test_the_robot_answers_its_functions_and_a_fault_is_an_event(ground, robot):

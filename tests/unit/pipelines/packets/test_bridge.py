@@ -150,8 +150,8 @@ class Ends:
 def stages(packets):
     """Of the verification for source 3, in any edition."""
     reports = [one for one in map(parse_packet, packets) if one.service == 1]
-    assert {one.destination % 256 for one in reports} <= {3}
-    return [one.subtype for one in reports]
+    assert {report.destination % 256 for report in reports} <= {3}
+    return [report.subtype for report in reports]
 
 
 @pytest.mark.parametrize(("application", "name"), [("joystick", "halt"), ("robot", "power_off")])

@@ -17,7 +17,7 @@ SESSIONS = [topology_of(setup) for setup in BUILT_IN.values()]
 @pytest.mark.parametrize("session", SESSIONS, ids=lambda session: session.setup.name)
 def test_all_that_crosses_the_link_and_every_camera_is_recorded(session):
     topics = {row.topic for row in channels_of(session)}
-    names = [one.name for one in session.streams if one.kind in (Kind.VIDEO, Kind.VOICE)]
+    names = [stream.name for stream in session.streams if stream.kind in (Kind.VIDEO, Kind.VOICE)]
     both = [*names, "haptic/up", "haptic/down"]
     packets = product(("telecommand", "telemetry"), Segment, ("sent", "received", "local"))
     cameras = {row.name for row in session.inputs if session.media(row.stream).kind is Kind.VIDEO}
@@ -26,7 +26,7 @@ def test_all_that_crosses_the_link_and_every_camera_is_recorded(session):
         *(f"/{kind}/{end.value}/{way}" for kind, end, way in packets),
         *(f"/link/{way}/{end}" for way in ("uplink", "downlink") for end in ("sent", "received")),
     }
-    assert {one for one in topics if one.startswith("/camera/")} == {
+    assert {topic for topic in topics if topic.startswith("/camera/")} == {
         f"/camera/{name}" for name in cameras
     }
     # Frames of the link only if asked for.

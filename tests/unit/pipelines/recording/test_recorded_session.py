@@ -96,7 +96,7 @@ def test_cycles_without_a_sample_are_gaps_and_packets_are_also_read_by_older_nam
     (command,) = written.told["/telecommand/space/sent"]
     report = replace(command, topic="/telemetry/space/sent", log_ns=command.log_ns - 1000)
     old = "/telecommand/sent"
-    rows = [replace(one, topic=old) if one.topic == command.topic else one for one in ROWS]
+    rows = [replace(row, topic=old) if row.topic == command.topic else row for row in ROWS]
     told = [replace(one, topic=old) for one in (report, command)]
     older = session_of(memoryview(octets_of_part(rows, METADATA_OF_SYNTHETIC, told, True)))
     newer = session_of(part_of([report, command]))

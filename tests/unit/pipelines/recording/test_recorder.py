@@ -305,7 +305,7 @@ def test_a_black_picture_takes_the_place_of_one_that_is_too_late(end, monkeypatc
     files = disk.end(count * NS_PER_S // 30)
     assert late_keys == (end != "recording")
     assert_sound(files[1], first, 120 if end == "part" else count)
-    assert not any(one.dropped for one in disk.recorder.metrics(None).channels.values())
+    assert not any(channel.dropped for channel in disk.recorder.metrics(None).channels.values())
 
 
 @pytest.mark.rule("4")

@@ -115,7 +115,7 @@ def test_a_camera_a_restart_and_the_joystick_are_told_once_each(session):
         (2_000_000, "process", "robot was started again: ended by SIGKILL"),
     ]
     assert session.look(2.5, killed) == []
-    unknown = dict.fromkeys(one.name for one in fields(JoystickMetrics))
+    unknown = dict.fromkeys(field.name for field in fields(JoystickMetrics))
     for at_s, state, reason, words in (
         (3, "application", "", "application"),
         (4, "halt", "dead-man released", "halt (dead-man released)"),

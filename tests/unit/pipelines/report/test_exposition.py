@@ -28,9 +28,9 @@ def exposed(report, problems=()):
     families = list(text_string_to_metric_families(exposition.text().decode()))
     kinds = {family.name: family.type for family in families}
     samples = {
-        (one.name, *sorted(one.labels.items())): one.value
+        (sample.name, *sorted(sample.labels.items())): sample.value
         for family in families
-        for one in family.samples
+        for sample in family.samples
     }
     return kinds, samples
 

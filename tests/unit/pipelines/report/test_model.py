@@ -35,7 +35,7 @@ def made(hint):
     kind = origin or hint
     if is_dataclass(kind):
         hints = typing.get_type_hints(kind)
-        return kind(**{one.name: made(hints[one.name]) for one in fields(kind)})
+        return kind(**{field.name: made(hints[field.name]) for field in fields(kind)})
     if issubclass(kind, Mapping):
         return {"some": made(arguments[1])} if arguments and arguments[1] is int else {}
     if issubclass(kind, Enum):

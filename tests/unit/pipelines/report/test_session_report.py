@@ -139,9 +139,9 @@ def test_a_session_that_ended_at_once_has_a_report_and_an_input_is_silent_since_
     collector = told()
     collector.handle_message("camera_left", message(CaptureMetrics(captured_ns=NS_PER_S)), NS_PER_S)
     collector.handle_resumed(60 * NS_PER_S)
-    silent = [str(one) for one in silences(collector, 61 * NS_PER_S)]
+    silent = [str(silence) for silence in silences(collector, 61 * NS_PER_S)]
     assert silent == []
-    silent = [str(one) for one in silences(collector, 63 * NS_PER_S)]
+    silent = [str(silence) for silence in silences(collector, 63 * NS_PER_S)]
     assert silent == ["camera_left: no picture for 3 s"]
 
 
@@ -225,7 +225,7 @@ def test_a_stream_is_judged_by_the_camera_that_is_selected():
     def judged(camera, at_s):
         gauges = SelectorMetrics(selected=camera)
         collector.handle_message("selector", message(gauges), round(at_s * NS_PER_S))
-        return [one for one in failures(collector, 8.0) if "uplink_video" in one]
+        return [failure for failure in failures(collector, 8.0) if "uplink_video" in failure]
 
     judged("head", 3)
     run_on(collector, shown_s=3, captured_s=8, camera="static")
@@ -267,7 +267,7 @@ def test_an_input_that_stopped_or_never_began_is_named():
     assert silences(collector, 10 * NS_PER_S)[0].silent_ns == 7 * NS_PER_S
     report = report_of(collector, 8.0, ["camera_left"])
     assert report.processes["camera_left"].silent_s == 5.0
-    assert not any("camera_left" in one for one in report.failures)
+    assert not any("camera_left" in failure for failure in report.failures)
     # A fault of a file, or of a user's class, begins with what names it.
     own = CaptureMetrics(source_fault=f"{collector.setup.source('left')}: E17: lens cap")
     collector.handle_message("camera_left", message(own), 8 * NS_PER_S)

@@ -147,5 +147,5 @@ def test_an_unknown_clock_and_a_direct_hand_over_a_long_way_are_warned_of(
     clock = replace(clock, offset_ns=offset_ns, error_ns=error_ns, messages_received=9)
     metrics = message(replace(gateway(), clock=clock))
     collector.handle_message(f"{segment.value}_gateway", metrics, NS_PER_S)
-    assert [one.what for one in find_path_warnings(collector, Segment)] == path_warned
-    assert [one.what for one in hand_warnings(collector)] == hand_warned
+    assert [warning.what for warning in find_path_warnings(collector, Segment)] == path_warned
+    assert [warning.what for warning in hand_warnings(collector)] == hand_warned

@@ -58,7 +58,7 @@ def test_two_levels_are_a_paired_t_test_and_who_is_not_through_is_left_out():
     assert [one.p_holm for one in holm(tests)] == pytest.approx([0.09, 0.04, 0.09, 0.5])
     report = study_report(PLAN, results_of(1))
     measures = {"error, root mean square", "path", "mean force"}
-    assert {one.measure for one in report.effects} == measures
+    assert {effect.measure for effect in report.effects} == measures
     results = results_of(1)
     report = study_report(PLAN, [one for one in results if (one.participant, one.trial) != (4, 18)])
     assert report.unfinished == (4,) and 4 not in report.participants
@@ -67,10 +67,10 @@ def test_two_levels_are_a_paired_t_test_and_who_is_not_through_is_left_out():
 
 def test_an_effect_is_found_with_its_size_and_where_nothing_differs_few_reports_say_so():
     report = study_report(PLAN, results_of(3, damping=0.0004))
-    (found,) = (one for one in report.effects if one.differs)
+    (found,) = (effect for effect in report.effects if effect.differs)
     assert (found.measure, found.factor) == ("error, root mean square", "damping")
     assert found.levels["10"] - found.levels["0"] == pytest.approx(4.0, abs=0.8)
     assert found.partial_eta2 > 0.5 and 1.0 < found.df <= 2.0
     reports = [study_report(PLAN, results_of(seed)).effects for seed in range(30)]
     # 1.5 are expected of 30; more than 5 come by chance once in 200.
-    assert sum(any(one.differs for one in effects) for effects in reports) <= 5
+    assert sum(any(effect.differs for effect in effects) for effects in reports) <= 5

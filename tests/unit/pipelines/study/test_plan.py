@@ -30,9 +30,9 @@ def test_each_condition_stands_equally_often_at_each_place_and_participants_meet
     for participant in range(1, 9):
         trials = trials_of(plan, participant)
         assert len(trials) == plan.trials_each == 4 * 2 * 3
-        assert [one.opens for one in trials] == [True, False, False] * 8
-        assert {one.condition for one in trials} == {*plan.handle.conditions}
-        seen.update({(one.place, one.condition) for one in trials})
+        assert [trial.opens for trial in trials] == [True, False, False] * 8
+        assert {trial.condition for trial in trials} == {*plan.handle.conditions}
+        seen.update({(trial.place, trial.condition) for trial in trials})
     assert set(seen.values()) == {2} and len(seen) == 16
     assert trials_of(plan, 3) == trials_of(plan, 3)
 

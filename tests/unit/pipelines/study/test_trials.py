@@ -90,10 +90,10 @@ def test_a_person_goes_through_all_trials_and_the_next_one_follows(person):
     person.now_ns += 20 * NS_PER_S
     person.begin()
     results += person.hold(30, until=StudyPhase.DONE)
-    found = [(one.participant, one.trial, one.attempts) for one in results]
+    found = [(result.participant, result.trial, result.attempts) for result in results]
     assert found == [(1, number, 1) for number in (1, 2, 3, 4)]
-    assert all(one.rms_error_m < 0.02 and one.seconds is None for one in results)
-    assert {one.damping_n_s_m for one in results if one.force_max_n > 0.0} == {8.0}
+    assert all(result.rms_error_m < 0.02 and result.seconds is None for result in results)
+    assert {result.damping_n_s_m for result in results if result.force_max_n > 0.0} == {8.0}
     assert person.shown.main == "Next person"
     person.press()
     assert person.service.phase is StudyPhase.CONSENT and "participant 2" in person.shown.words[1]
@@ -175,5 +175,5 @@ def test_tables_hold_every_trial_with_none_as_nan(person, tmp_path):
     assert rows[0].startswith("participant,trial,place,stiffness_n_m") and len(rows) == 3
     trials = loadmat(tmp_path / "study.mat", simplify_cells=True)["trials"]
     assert list(trials["task"]) == ["spot", "spot"] and np.isnan(trials["throughput_bit_s"]).all()
-    assert np.allclose(trials["rms_error_m"], [one.rms_error_m for one in results])
+    assert np.allclose(trials["rms_error_m"], [result.rms_error_m for result in results])
     assert "no effects: at least 3 participants" in (tmp_path / "report.html").read_text()

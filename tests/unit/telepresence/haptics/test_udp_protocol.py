@@ -81,7 +81,7 @@ def test_what_was_recorded_neither_counts_nor_moves_anything(line, controller):
     cycles(line, 110)
     commands = [one for one in recorded if one[1] == 3]
     assert len(commands) > 5
-    assert [answer for one in commands for answer in controller.handle(one)] == []
+    assert [answer for command in commands for answer in controller.handle(command)] == []
     before = line.session.report().udp_foreign
     line.session.handle_datagram(old)
     assert line.session.report().udp_foreign == before + 1

@@ -374,7 +374,7 @@ class Gateways:
         end.handle_radio(frame, now_ns)
         events = list(iter(end.next_event, None))
         if end is self.ground:
-            self.on_ground += [one for one in events if isinstance(one, PacketReceived)]
+            self.on_ground += [event for event in events if isinstance(event, PacketReceived)]
 
     def run(self, seconds):
         end_ns = self.true_ns + round(seconds * S)

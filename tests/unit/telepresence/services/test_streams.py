@@ -81,10 +81,10 @@ def test_a_loss_of_signal_closes_all_streams_at_both_ends_and_a_new_one_works() 
     pair.run(0.9)
     pair.contact = True
     pair.run(1)
-    assert not any(one.closed for one in programs)
+    assert not any(program.closed for program in programs)
     pair.contact = False
     pair.run(1.1)
-    assert [one.reason for one in programs] == [ResetReason.LOSS_OF_SIGNAL] * 4
+    assert [program.reason for program in programs] == [ResetReason.LOSS_OF_SIGNAL] * 4
     assert pair.ground.open(pair.now_ns) is None
     pair.contact = True
     pair.run(0.1)

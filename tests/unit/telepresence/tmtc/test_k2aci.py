@@ -213,7 +213,7 @@ def test_each_message_handed_out_is_acknowledged_with_its_life():
     for number, boot_id in ((5, 8), (4, 9), (7, 8)):
         ground.handle_message(numbered(number, oldest=4, boot_id=boot_id), 0)
     assert bodies(ground) == [Acknowledgement(8, 3), Acknowledgement(8, 3), Acknowledgement(9, 4)]
-    assert [(one.boot_id, one.number) for one in events(ground)] == [(8, 3), (9, 4)]
+    assert [(event.boot_id, event.number) for event in events(ground)] == [(8, 3), (9, 4)]
     assert ground.unexpected == 1
 
 

@@ -57,7 +57,7 @@ def test_reports_derive_from_periods_and_split_where_a_packet_is_full():
     ]
     many = several(14, type="text", size=40, period_s=60.0)
     table = table_of(**many)
-    names = [name for one in table.structures for name in one.parameters]
+    names = [name for structure in table.structures for name in structure.parameters]
     assert names == [one.name for one in many["parameters"]]
     for report in table.structures:
         assert 1 + sum(one.octets for one in table.named(report.parameters)) <= MAX_REPORT_OCTETS
@@ -104,8 +104,8 @@ def test_what_a_spec_names_must_be_a_component():
             load_components(specs, known)
     (found,) = load_components(["battery:Battery"], known)
     assert found.spec == "battery:Battery"
-    names = [one.name for one in with_components(known, [found]).applications]
-    assert names == [*(one.name for one in known.applications), "battery"]
+    names = [application.name for application in with_components(known, [found]).applications]
+    assert names == [*(application.name for application in known.applications), "battery"]
 
 
 def test_a_component_has_numbers_limits_and_defaults():

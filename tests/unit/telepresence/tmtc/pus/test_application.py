@@ -83,7 +83,7 @@ def test_no_more_than_16_functions_are_in_progress(application):
         assert answer(application, command(8, 1, b"\2", count))[-1].subtype == 3
     (refusal,) = answer(application, command(8, 1, b"\2", 16))
     assert (refusal.subtype, refusal.data[4:]) == (2, b"\x0516 functions are in progress")
-    tokens = [one.token for one in events(application)]
+    tokens = [event.token for event in events(application)]
     assert len(set(tokens)) == 16
     for token in (None, 99, tokens[3], tokens[3]):
         application.handle_result(token, "", 0)
@@ -178,7 +178,7 @@ def test_switches_take_several_numbers_and_back(application):
         assert answer(application, request)[-1].subtype == 7
         for name in ("cooled", "too_hot"):
             application.handle_event(name, 0)
-        return [one.data[0] for one in packets(application)], len(events(application))
+        return [packet.data[0] for packet in packets(application)], len(events(application))
 
     assert reported(5, 6, [2]) == ([1], 1)
     assert reported(5, 6, [1]) == ([], 1)
@@ -256,7 +256,7 @@ def test_housekeeping_begins_with_its_values_and_comes_again_with_the_signal():
     ends.run(4500 * MS)
     reports = ends.events()
     assert reports[0] == HousekeepingReport("oven", "state", COOL, 2500 * MS)
-    assert [round(one.unix_ns / MS) for one in reports] == [2500, 2800, 3800, 4200]
+    assert [round(report.unix_ns / MS) for report in reports] == [2500, 2800, 3800, 4200]
 
 
 def test_the_bucket_bounds_what_is_sent_and_waiting_housekeeping_stays_fresh():

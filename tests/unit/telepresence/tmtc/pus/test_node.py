@@ -80,11 +80,11 @@ def test_no_flood_of_k2aci_keeps_a_report_waiting_and_telecommands_go_first():
     for _ in range(4):
         node.k2aci.endpoint.send(TALK, 0)
         reporting.handle_event("cooled", 0)
-    assert [one.service for one in packets(node)] == [1, *[129, 5] * 4]
+    assert [packet.service for packet in packets(node)] == [1, *[129, 5] * 4]
     node = make(user=asking, k2aci=node.k2aci)
     node.k2aci.endpoint.send(TALK, S)
     asking.ping("oven", now_ns=S)
-    assert [one.service for one in packets(node, S)][:2] == [17, 129]
+    assert [packet.service for packet in packets(node, S)][:2] == [17, 129]
 
 
 def test_a_failure_of_routing_names_the_telecommand_and_goes_to_its_source():
@@ -92,7 +92,7 @@ def test_a_failure_of_routing_names_the_telecommand_and_goes_to_its_source():
     for count in range(18):
         node.handle_packet(pack_packet(command(count=count, apid=9, source=5)), S)
     # As many as the bucket holds, and the others later. The newest 16 are kept.
-    found = [one for now_ns in (S, 2 * S) for one in packets(node, now_ns)]
+    found = [packet for now_ns in (S, 2 * S) for packet in packets(node, now_ns)]
     assert [(one.count, one.counter) for one in found] == [(n, n) for n in range(2, 18)]
     first = found[0]
     assert (first.apid, first.service, first.subtype, first.destination) == (9, 1, 10, 5)
@@ -103,7 +103,7 @@ def test_a_failure_of_routing_names_the_telecommand_and_goes_to_its_source():
     asking.ping("oven", now_ns=0)
     exchange(asking, empty)
     exchange(empty, make(user=asking))
-    assert [one.reason for one in events(asking)] == ["no application 512 at this end"]
+    assert [event.reason for event in events(asking)] == ["no application 512 at this end"]
 
 
 def test_what_goes_from_this_end_to_this_end_takes_no_radio():

@@ -104,12 +104,12 @@ def test_telecommands_of_the_other_ground_system_keep_their_count():
     asked = command(count=5, source=99, flags=0)
     numbers = [user.forward(asked, edition=edition, now_ns=0) for edition in range(5)]
     assert numbers == [0, 1, 2, 3, None]
-    assert [(one.count, one.source, one.flags) for one in packets(user)] == [
+    assert [(packet.count, packet.source, packet.flags) for packet in packets(user)] == [
         (5, 256 * edition + 3, 15) for edition in range(4)
     ]
     assert all(map(user.hears, (7, 3, 259))) and not any(map(user.hears, (4, 0, 263)))
     verify(user, COMPLETED, count=5, to=259)
-    assert [(one.number, one.ok) for one in events(user)] == [(1, True)]
+    assert [(event.number, event.ok) for event in events(user)] == [(1, True)]
     with pytest.raises(ConfigError, match="no application 515"):
         user.forward(command(apid=0x203), now_ns=0)
     alone = make_user(foreign=None)
@@ -157,7 +157,7 @@ def test_what_is_not_verified_is_repeated_and_given_up_after_30_s(stage, reason)
     while (due_ns := user.poll_timeout()) is not None:
         again = sent(user, due_ns)
         assert sent(user, due_ns) == []
-        found += [(due_ns // MS, len(again), one) for one in events(user)]
+        found += [(due_ns // MS, len(again), event) for event in events(user)]
     # Each wait is twice the one before, up to eight times the first one.
     at_ms = (500, 1500, 3500, 7500, 11_500, 15_500, 19_500, 23_500, 27_500)
     assert [at for at, count, _ in found if count] == (list(at_ms) if stage is None else [500])
@@ -198,7 +198,7 @@ def test_reports_are_counted_and_of_unfetched_ones_the_oldest_goes():
         user.handle_telemetry(report(17, 2, count=count, cuc=count << 16), 0)
     user.handle_telemetry(report(17, 2, apid=0x202), 0)
     assert (user.reports, user.dropped_events, user.unexpected) == (257, 1, 1)
-    assert [one.unix_ns // S for one in events(user)] == list(range(1, 257))
+    assert [event.unix_ns // S for event in events(user)] == list(range(1, 257))
 
 
 def test_each_request_is_answered_from_end_to_end():
@@ -224,9 +224,9 @@ def test_each_request_is_answered_from_end_to_end():
         ("FunctionRequest", ("off", ())),
         ("ParameterSet", ("target", 99.5)),
     ]
-    told = [one for one in ends.events() if not isinstance(one, CommandProgress)]
+    told = [event for event in ends.events() if not isinstance(event, CommandProgress)]
     results = [one for one in told if isinstance(one, CommandResult)]
-    assert [one.reason for one in results if not one.ok] == ["the door is open"]
+    assert [result.reason for result in results if not result.ok] == ["the door is open"]
     assert len(results) == 6
     light = pus_user.HousekeepingReport("oven", "light", {"lit": True}, 0)
     target = pus_user.ParameterReport("oven", {"target": 99.5}, 0)
@@ -278,11 +278,11 @@ def test_a_telecommand_is_carried_out_once_or_its_failure_is_reported(there, bac
             user.handle_telemetry(parse_packet(octets), now_ns)
         for octets in sent(user, now_ns):
             up.put(octets, step)
-        results += [one for one in events(user) if isinstance(one, CommandResult)]
+        results += [event for event in events(user) if isinstance(event, CommandResult)]
         if user.poll_timeout() is None:
             break
-    assert sorted(one.number for one in results) == numbers
-    for one in results:
-        assert one.ok <= done.count(one.number) <= lives
-        assert one.verified or not one.ok
+    assert sorted(result.number for result in results) == numbers
+    for result in results:
+        assert result.ok <= done.count(result.number) <= lives
+        assert result.verified or not result.ok
     assert user.poll_timeout() is None

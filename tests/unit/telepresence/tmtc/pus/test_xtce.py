@@ -20,7 +20,7 @@ def parsed(dictionary, *end):
 
 
 def named(elements):
-    return {one.get("name"): one for one in elements}
+    return {element.get("name"): element for element in elements}
 
 
 ROOT = parsed(oven())
