@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topic import Topic
 from telepresence.haptics.authority import Authority, AuthorityMetrics
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.states import ExperimentName, JoystickEvent

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topic import Topic
 from telepresence.haptics.axes import AXIS_NAMES, AxisName, lever_of
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 

@@ -17,9 +17,9 @@ from pipelines.session.datagrams import Outlet, OwnOutlet, receive
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import SECOND_ROBOT_TOPIC
 from pipelines.session.process import Context, take_realtime
+from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import LOOP_PRIORITY, partner_ports
-from pipelines.session.topology.topics import Topic
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope

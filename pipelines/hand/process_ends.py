@@ -53,9 +53,9 @@ from pipelines.session.mission_messages import (
     PanelShown,
 )
 from pipelines.session.process import Context
+from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology import JOYSTICK, ROBOT, TELEMETRY, WALL_TOPIC
-from pipelines.session.topology.topics import Topic
 from pipelines.session.training import TRAINER_TOPIC, Exercises
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.device.device import JoystickDevice

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from kontur_av.metrics import Newest
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topic import Topic
 from telepresence.link.link_metrics import GatewayMetrics, PathMetrics
 
 

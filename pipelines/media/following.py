@@ -9,7 +9,7 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.region import Region
 from kontur_av.media import CaptureStamp
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topic import Topic
 from telepresence.world.board import BoardView
 
 #: A choice and its confirmation are told again after this time.

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from pipelines.media.following import FOLLOWED_TOPIC, HALVES_TOPIC, SELECTED_TOPIC
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC, ROBOT_TOPIC
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
+from pipelines.session.topic import AnyTopic
 from pipelines.session.topology import (
     PICTURE_PRIORITY,
     STEREO_TOPIC,
@@ -19,7 +20,6 @@ from pipelines.session.topology import (
     VideoRow,
     given,
 )
-from pipelines.session.topology.topics import AnyTopic
 from pipelines.session.training import TRAINER_TOPIC
 
 

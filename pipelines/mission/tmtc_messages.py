@@ -13,7 +13,7 @@ import msgspec
 
 from kontur_av.errors import ConfigError, refused
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topic import Topic
 from telepresence.malformed import MALFORMED
 from telepresence.tmtc.k2aci import CLASSES, K2aciMessage
 from telepresence.tmtc.pus.dictionary import Application

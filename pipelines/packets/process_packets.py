@@ -41,6 +41,7 @@ from pipelines.session.options import StreamOptions
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.session_metrics import SampleNumbers
 from pipelines.session.setup.segments import Direction
+from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology import (
     FRAMES,
@@ -50,7 +51,6 @@ from pipelines.session.topology import (
     Topology,
     packet_topics,
 )
-from pipelines.session.topology.topics import Topic
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import MAX_PACKET_OCTETS

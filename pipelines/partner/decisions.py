@@ -8,7 +8,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import Coding
 from kontur_av.meters import RateMeter
 from pipelines.session.access import is_token
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topic import Topic
 
 _FIRST_NS = 500 * NS_PER_MS
 _LONGEST_NS = 30 * NS_PER_S

@@ -32,6 +32,7 @@ from pipelines.recording.recorded_messages import (
 )
 from pipelines.recording.schemas import MessageSchema, descriptor_set
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, MISSION_LEDS_TOPIC
+from pipelines.session.topic import AnyTopic
 from pipelines.session.topology import (
     RTC_CAMERA,
     RTC_CODED_CAMERA_TOPIC,
@@ -45,7 +46,6 @@ from pipelines.session.topology import (
     VideoRow,
     packet_topics,
 )
-from pipelines.session.topology.topics import AnyTopic
 
 PROTOBUF = "protobuf"
 EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"

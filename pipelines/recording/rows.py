@@ -8,6 +8,7 @@ from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
 from pipelines.link.link_metrics import gateway_topic
 from pipelines.media.following import SELECTED_TOPIC
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, MISSION_LEDS_TOPIC
+from pipelines.session.topic import AnyTopic
 from pipelines.session.topology import (
     RECORDER,
     RTC_CODED_CAMERA_TOPIC,
@@ -21,7 +22,6 @@ from pipelines.session.topology import (
     packet_topics,
 )
 from pipelines.session.topology.rows import RECORDER_PRIORITY, VideoRow
-from pipelines.session.topology.topics import AnyTopic
 
 
 def shown_topics(session: Topology) -> tuple[AnyTopic, ...]:

@@ -24,6 +24,7 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.topic import AnyTopic, Topic
 from pipelines.session.topology import (
     RTC_CODED_CAMERA_TOPIC,
     RTC_DECODED_CAMERA_TOPIC,
@@ -35,7 +36,6 @@ from pipelines.session.topology import (
     partner_camera,
     partner_voice,
 )
-from pipelines.session.topology.topics import AnyTopic, Topic
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.joystick import JoystickModel

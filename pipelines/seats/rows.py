@@ -11,6 +11,7 @@ from pipelines.session.mission_messages import (
     MISSION_PANEL_TOPIC,
     ROBOT_STATUS_TOPIC,
 )
+from pipelines.session.topic import AnyTopic
 from pipelines.session.topology import (
     PAGES,
     RTC_CODED_CAMERA_TOPIC,
@@ -23,7 +24,6 @@ from pipelines.session.topology import (
     Topology,
     VideoRow,
 )
-from pipelines.session.topology.topics import AnyTopic
 from pipelines.session.training import TRAINER_TOPIC
 
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from pipelines.session.session_metrics import gathered
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topic import Topic
 from telepresence.tasks.definitions import ControlMode, Pattern
 from telepresence.tasks.panel_picture import PanelPicture
 from telepresence.world.state import WorldState

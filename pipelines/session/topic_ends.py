@@ -8,7 +8,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC, ROBOT_TOPIC
-from pipelines.session.topology.topics import Topic
+from pipelines.session.topic import Topic
 from telepresence.tasks.positions import lights_of
 from telepresence.world import StateAt, WorldState, scripted_state
 from telepresence.world.state import Lights

@@ -18,7 +18,8 @@ from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import DatedEvent, TrainerMetrics
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VideoStream
-from pipelines.session.topology import Topic, Topology
+from pipelines.session.topic import Topic
+from pipelines.session.topology import Topology
 
 #: The name of the trainer's socket.
 TRAINER_SOCKET = "trainer"

@@ -84,7 +84,7 @@ class Aiming:
     """Targets on a ring, each across from the one before (ISO 9241-411, annex B). ConfigError.
 
     distance_m: diameter of the ring. width_m: of a target. targets: how many, an odd number.
-    hold_s: how long the dot must stay in a target to hit it. timeout_s: after that it is missed.
+    hold_s: how long the dot must stay in a target to hit it. patience_s: after that it is missed.
     speed_m_s: of targets that move to and fro along the ring; 0 for still ones.
     """
 
@@ -93,13 +93,13 @@ class Aiming:
     width_m: float = 0.012
     targets: int = 9
     hold_s: float = 0.3
-    timeout_s: float = 8.0
+    patience_s: float = 8.0
     speed_m_s: float = 0.0
 
     def __post_init__(self) -> None:
         at = f"aiming {self.name}: "
         _check(at, self, width_m=(0.002, 0.05), targets=(5, 25), hold_s=(0.1, 2))
-        _check(at, self, distance_m=(2 * self.width_m, 0.2), timeout_s=(2, 60), speed_m_s=(0, 0.1))
+        _check(at, self, distance_m=(2 * self.width_m, 0.2), patience_s=(2, 60), speed_m_s=(0, 0.1))
         if self.targets % 2 == 0:
             raise ConfigError(f"{at}targets is {self.targets}: give an odd number")
 
@@ -411,7 +411,7 @@ class StudyTrial:
         if self._in_ns >= task.hold_s * NS_PER_S:
             seconds = (took_ns - self._in_ns) / NS_PER_S
             self._hits.append(_Hit(seconds, way_m, along_m, miss_m, self._beyond_m))
-        elif took_ns >= task.timeout_s * NS_PER_S:
+        elif took_ns >= task.patience_s * NS_PER_S:
             self._missed += 1
         else:
             return

@@ -10,7 +10,7 @@ from kontur_av.errors import ProtocolError
 from pipelines.hand.robot_commands import RobotCommands
 from pipelines.session import mission_messages as messages
 from pipelines.session.mission_messages import LedsShown, RobotCommand, RobotOrder
-from pipelines.session.topology import Topic
+from pipelines.session.topic import Topic
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.loop import robot_link
 from telepresence.tasks.definitions import ControlMode, Pattern

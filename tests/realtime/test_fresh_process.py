@@ -35,10 +35,10 @@ def test_later_output_follows_a_report_on_stdout(tmp_path):
 @pytest.mark.parametrize(
     ("commands", "absent"),
     [
-        ("select record tc task owner trainer stop info", "aiortc av opuslib"),
+        ("select record tc task authority trainer stop info", "aiortc av opuslib"),
         # They must outlive broken software.
         (
-            "apploader versions file keys owner stop",
+            "apploader versions file keys authority stop",
             "aiortc av cv2 opuslib pipelines.session.setup.table",
         ),
     ],

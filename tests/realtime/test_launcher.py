@@ -71,7 +71,7 @@ def commands(context):
     assert set(context.pages) == {"bad"} and context.pages["bad"].socket.fileno() > 0
     for order, state in ((Order.STOP, b"stopped"), (Order.START, b"running")):
         context.order(order, context.clock.now_ns())
-        good(context, lambda: context.receive_figures() == state)
+        good(context, lambda: context.receive_metrics() == state)
     os.kill(os.getppid(), signal.SIGTERM)
     good(context)
 

@@ -16,6 +16,7 @@ from upkeep_programs import COMMAND, command, make, running
 
 from pipelines.link.key_files import make_key
 from pipelines.upkeep.requests import DiskStore
+from telepresence.link.supervision.message import VERSION
 from telepresence.upkeep.app_loader import Copy, note_worked
 from telepresence.upkeep.manifest import fault_of
 
@@ -163,7 +164,7 @@ def test_a_gateway_that_the_peer_refuses_is_replaced_and_data_passes_again(
         base = free_base_port()
         options = json.dumps(["--end", "space", "--peer", listen, "--base-port", str(base)])
         program = GATEWAY.format(python=sys.executable, options=options)
-        for name, version in (("elementary", 3), ("v1", 3), ("v2", 4)):
+        for name, version in (("elementary", VERSION), ("v1", VERSION), ("v2", VERSION + 1)):
             versions.add(make(tmp_path, name, version, program))
         versions.do("start", "v1")
         entries = [

@@ -8,9 +8,8 @@ from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.streams.lipsync import Lag
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topic import AnyTopic, Topic
 from pipelines.session.topology.topics import (
-    AnyTopic,
-    Topic,
     displayed_topic,
     page_topic,
     received_topic,

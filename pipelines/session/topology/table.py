@@ -6,6 +6,7 @@ from functools import cached_property
 
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import PORTS, Setup
+from pipelines.session.topic import AnyTopic, Topic
 from pipelines.session.topology.rows import (
     CameraRow,
     Frames,
@@ -26,7 +27,6 @@ from pipelines.session.topology.streams import (
     partner_ports,
     stream_rows,
 )
-from pipelines.session.topology.topics import AnyTopic, Topic
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import SIMULATED
 from telepresence.link.flows import Flow

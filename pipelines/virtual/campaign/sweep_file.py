@@ -61,7 +61,7 @@ class _File:
     )
     media: bool = True
     plan: str | None = None
-    metrics: tuple[str, ...] = field(
+    figures: tuple[str, ...] = field(
         default=(), metadata={"like": 'a list of keys of a report, like ["link.uplink.frames"]'}
     )
     plot: _Plot = _Plot()
@@ -109,7 +109,7 @@ def _sweep(path: Path, file: _File) -> Sweep:
         plan=plan,
         cases=tuple(found.values()),
         fields=tuple(dict.fromkeys(name for grid in grids for name in grid)),
-        keys=file.metrics,
+        keys=file.figures,
         x=file.plot.x,
         y=file.plot.y or ("video_p99_ms" if file.media else "force_p99_ms"),
     )

@@ -10,7 +10,8 @@ from common import eventually
 
 from kontur_av.errors import ConfigError
 from pipelines.packets.process_packets import FrameCopies, _Streams, parse_frames
-from pipelines.session.topology import Frames, Topic
+from pipelines.session.topic import Topic
+from pipelines.session.topology import Frames
 
 FRAMES = Topic("frames", Frames, "frames")
 
