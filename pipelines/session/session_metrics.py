@@ -28,7 +28,7 @@ class ProbeMetrics:
 class RequestMetrics:
     """What other processes and terminals asked a process."""
 
-    #: Requests that were refused, and messages that were none.
+    #: Requests that were refused, and malformed messages.
     requests_refused: int = 0
 
 

@@ -2,7 +2,7 @@
 
 Whole headers are the only references: one each 1.6 s, and several at the start. The receiver
 restores a header from the newest reference that it holds, as in ROHC's unidirectional mode (RFC
-5795). The sender knows all references that this may be: those sent within `LIFE_NS`. It compresses
+5795). The sender knows all references that this may be: those of `LIFETIME_NS`. It compresses
 a header only if *each* of them restores exactly this header, by the receiver's arithmetic. No
 packet depends on the one before, and nothing is acknowledged. No loss can corrupt a header.
 
@@ -19,7 +19,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.flows import Flow
 
 #: A reference is not used for longer. Four of them in a row may get lost.
-LIFE_NS = 6_600 * NS_PER_MS
+LIFETIME_NS = 6_600 * NS_PER_MS
 REFRESH_NS = 1_600 * NS_PER_MS
 #: Number of whole headers after which the receiver is assumed to hold one.
 FIRST_WHOLE = 3
@@ -109,7 +109,7 @@ class RtpCompressor:
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
         self._forms = HeaderForms(flow, slot_ns)
-        self._boot_id, self._refresh = LIFE_NS // slot_ns, REFRESH_NS // slot_ns
+        self._lifetime, self._refresh = LIFETIME_NS // slot_ns, REFRESH_NS // slot_ns
         #: References that the receiver may hold, oldest first.
         self._possible: deque[_Reference] = deque()
         #: Whole headers since the receiver was last known to hold none.
@@ -129,7 +129,7 @@ class RtpCompressor:
         header = parse_header(data)
         if header is not None:
             possible = self._possible
-            while possible and count - possible[0].begun > self._boot_id:
+            while possible and count - possible[0].begun > self._lifetime:
                 possible.popleft()
             if not possible:
                 self._whole = 0
@@ -166,7 +166,7 @@ class RtpDecompressor:
 
     def __init__(self, flow: Flow, slot_ns: int) -> None:
         self._unpack = HeaderForms(flow, slot_ns).unpack
-        self._boot_id = LIFE_NS // slot_ns
+        self._lifetime = LIFETIME_NS // slot_ns
         self._reference: _Reference | None = None
 
     def forget(self) -> None:
@@ -186,7 +186,7 @@ class RtpDecompressor:
         reference = self._reference
         if kind < KIND_STEADY:
             return "malformed"
-        if reference is None or count - reference.begun > self._boot_id:
+        if reference is None or count - reference.begun > self._lifetime:
             return "no_context"
         header = self._unpack(kind, body, reference.header, count - reference.begun)
         if header is None:

@@ -17,7 +17,7 @@ _LONGEST_PATH = 1000
 class FileStore(Protocol):
     """Files by their path, with `/` between folders. Each method returns when it is safe.
 
-    A missing file, a bad disk, and what is no plain file raise OSError.
+    OSError: it is missing or no plain file, or the disk is bad.
     """
 
     def files(self, folder: str) -> list[str]:

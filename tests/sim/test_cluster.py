@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
@@ -54,7 +54,7 @@ class Processes:
             self.started.append(subprocess.Popen(command, stdout=log, stderr=log))
         return self.started[-1]
 
-    def end(self):
+    def close(self):
         for process in reversed(self.started):
             process.send_signal(signal.SIGINT)
         for process in self.started:
@@ -69,7 +69,7 @@ class Processes:
 def processes(tmp_path_factory):
     with ExitStack() as stack:
         running = Processes(tmp_path_factory.mktemp("dask"))
-        stack.callback(running.end)
+        stack.callback(running.close)
         running.worker()  # With its nanny, a daemon, which multiprocessing would forbid children.
         yield running
 
@@ -85,25 +85,25 @@ def sessions_of(pid):
     ]
 
 
-def test_a_sweep_is_the_same_octet_by_octet_though_a_worker_is_killed(processes, tmp_path, capfd):
+def test_a_sweep_is_the_same_octet_by_octet_though_a_worker_is_killed(tmp_path, capfd):
     (tmp_path / "mine.toml").write_text(SWEEP)
     alone, there = tmp_path / "here.json", tmp_path / "there.json"
     command = ["sweep", str(tmp_path / "mine.toml"), "--report"]
     assert main([*command, str(alone)]) == 0
-    doomed = processes.worker("--no-nanny")
     orphans = []
+    with closing(Processes(tmp_path)) as processes:
+        # Alone, so that it surely has a run. Another one does what it leaves.
+        doomed = processes.worker("--no-nanny")
 
-    def kill():
-        with suppress(AssertionError):
+        def kill():
             orphans.extend(eventually(lambda: sessions_of(doomed.pid)))
             os.kill(doomed.pid, signal.SIGKILL)
+            processes.worker()
 
-    killer = threading.Thread(target=kill)
-    killer.start()
-    assert main([*command, str(there), "--cluster", processes.address]) == 0
-    killer.join()
-    if not orphans:
-        pytest.skip("the scheduler gave this worker no run")
+        killer = threading.Thread(target=kill)
+        killer.start()
+        assert main([*command, str(there), "--cluster", processes.address]) == 0
+        killer.join()
     assert doomed.wait() == -signal.SIGKILL
     assert there.read_bytes() == alone.read_bytes()
     assert "2 of 2 runs" in capfd.readouterr().err

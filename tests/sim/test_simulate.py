@@ -16,7 +16,8 @@ from pipelines.virtual.session import Selection
 from pipelines.virtual.simulate import simulate
 from telepresence.link.radio import load_radio
 
-SECONDS = 4.0
+#: Long enough that the three whole headers of a start do not make the percentiles.
+SECONDS = 5.0
 #: One-way delay of a radio without other effects.
 DELAY_MS = 2.0
 #: From a haptic cycle to the sender's slot, and from the receiver's slot to its cycle.
@@ -120,7 +121,7 @@ def test_voice_waits_little_more_than_its_slots(spacejustin):
         assert stages.capture_to_encoded.max == 20 + 6.5 + COSTS.voice_encode_ms
         # On the uplink, 19 octets and their header take two slots, and whole headers two more. A
         # packet may just miss a slot, and supervision may take one.
-        assert stages.sent_to_received.p95 < DELAY_MS + 3
+        assert stages.sent_to_received.p95 < DELAY_MS + 2
         assert stages.sent_to_received.p99 < DELAY_MS + 5
         # On the uplink, one packet waits for the reports of the selection of a camera: acceptance,
         # start and completion have 25 octets each, and take three slots each.

@@ -59,7 +59,7 @@ SETUP_FILE = _file_kind(Setup)
 def setup_values(entry: Any, name: str = "") -> Mapping[str, Any]:
     """The fields of a setup, or of its table `name`, by its file's; the radio is still a name.
 
-    Raises ConfigError for a size that is none.
+    Raises ConfigError for a malformed size.
     """
     values: dict[str, object] = {}
     for each in fields(entry):

@@ -18,7 +18,7 @@ from telepresence.link.header_compression import (
     KIND_TIMED,
     KIND_WHOLE,
     KINDS,
-    LIFE_NS,
+    LIFETIME_NS,
     REFRESH_NS,
     HeaderForms,
     RtpCompressor,
@@ -27,7 +27,7 @@ from telepresence.link.header_compression import (
 )
 
 VIDEO, VOICE = video_flow("video"), voice_flow("voice")
-LIFE_SLOTS, REFRESH_SLOTS = LIFE_NS // SLOT_NS, REFRESH_NS // SLOT_NS
+LIFE_SLOTS, REFRESH_SLOTS = LIFETIME_NS // SLOT_NS, REFRESH_NS // SLOT_NS
 FLOWS = pytest.mark.parametrize("flow", [VIDEO, VOICE], ids=["video", "voice"])
 STEADY = range(KIND_STEADY, KIND_TIMED)
 #: Largest mean cost of each source in octets a packet, with tag and whole headers.
