@@ -38,7 +38,7 @@ from pipelines.session.topology import Topology
 
 #: After a fault of the disk, a new part is tried this often.
 RETRY_NS: Final = 2 * NS_PER_S
-#: Events come at most so late: the launcher looks for them twice a second.
+#: Events come at most so late: the launcher looks for them once a second.
 EVENTS_LATE_NS: Final = 3 * NS_PER_S
 #: How often the losses are written, while they change.
 _LOSSES_NS = NS_PER_S

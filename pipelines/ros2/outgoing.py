@@ -29,7 +29,7 @@ from pipelines.ros2.publications import (
     RosSource,
 )
 from pipelines.ros2.ros_messages import RosMessages
-from pipelines.session.session_metrics import MonitoredSession, SampleNumbers, nested_values
+from pipelines.session.session_metrics import SampleNumbers, SessionNews, nested_values
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.
@@ -221,9 +221,8 @@ class OutgoingMessages:
         stream.handle_key_picture(number, key)
         yield from self._units(source, stream)
 
-    def metrics(self, told: bytes, now_ns: int) -> Outbound:
-        """Return the diagnostics of what the launcher has told: a `MonitoredSession`."""
-        news = msgspec.json.decode(told, type=MonitoredSession)
+    def metrics(self, news: SessionNews, now_ns: int) -> Outbound:
+        """Return the diagnostics of what the launcher has told."""
         report = msgspec.json.decode(news.report)
         parts = {
             f"{part} {name}": {

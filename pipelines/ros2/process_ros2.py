@@ -197,9 +197,9 @@ class _Ros2Process:
         """Read what has come, and publish it if it is wanted."""
         now_ns = self._now_ns()
         self._context.tick(now_ns)
-        while (told := self._context.receive_metrics()) is not None:
+        while (news := self._context.receive_news()) is not None:
             if DIAGNOSTICS_TOPIC in self._wanted:
-                self._publish(self._messages.metrics(told, now_ns))
+                self._publish(self._messages.metrics(news, now_ns))
         self._read(now_ns)
 
     def _declare(self, domain: int) -> None:

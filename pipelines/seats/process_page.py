@@ -116,8 +116,8 @@ class PageServer:
         self._sockets.handle_time(now_ns)
 
     def _metrics(self) -> None:
-        while (text := self._context.receive_metrics()) is not None:
-            self._seat.handle_metrics(text, self._now_ns())
+        while (news := self._context.receive_news()) is not None:
+            self._seat.handle_session(news, self._now_ns())
         self._settle()
 
     def _watch(self) -> None:

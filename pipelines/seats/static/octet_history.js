@@ -18,7 +18,7 @@ export const LAYERS = [
 /** The layer of what no row of `LAYERS` names; idle fill is in none. */
 const IDLE = "idle";
 /** A longer step between two readings is a gap: nobody asked for figures meanwhile. */
-const GAP_US = 1_600_000;
+const GAP_US = 3_200_000;
 
 export class OctetHistory {
   /**
