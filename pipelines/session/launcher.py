@@ -399,7 +399,7 @@ class Launcher:
                     page.socket.close()
             become(child.row, context)
             if os.getppid() != launcher:
-                return 1  # the launcher was killed before PR_SET_PDEATHSIG was set
+                return 1  # the launcher was killed before `become`
             signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
             child.run(context, **child.row.arguments, **self.arguments.get(child.row.name, {}))
             context.flush(self.clock.now_ns())

@@ -17,6 +17,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from pipelines.session import datagrams
+from pipelines.session.command_process import end_with_parent
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import SessionNews
@@ -54,7 +55,7 @@ _MAX_NEWS_OCTETS = 1 << 20
 _NEWS = msgspec.json.Decoder(SessionNews)
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
+_PR_SET_NAME, _PR_SET_TIMERSLACK = 15, 29
 
 
 @dataclass
@@ -190,12 +191,10 @@ def become(row: ProcessRow, context: Context) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
-    libc = ctypes.CDLL(None, use_errno=True)
-    prctl = libc.prctl
     context.own_open_files()
     # When the launcher is killed, its processes end, too.
-    prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
+    end_with_parent()
+    ctypes.CDLL(None).prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
     if row.priority == WATCHER_PRIORITY:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         context.probe.message.scheduler = "idle"
