@@ -20,7 +20,7 @@ from pipelines.report.seat_feed import processes_now
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_session_options, asked_setup, stream_options
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 

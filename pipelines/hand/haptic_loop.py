@@ -10,7 +10,7 @@ from pipelines.hand.replaying import ReplayedEnd
 from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.session_metrics import LatenessRow, LoopMetrics
-from pipelines.session.topology import Topology
+from pipelines.session.topology.table import Topology
 from telepresence.haptics.axes import sample_octets
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.haptics.session import BOOT_IDS

@@ -19,7 +19,8 @@ from pipelines.session.mission_messages import SECOND_ROBOT_TOPIC
 from pipelines.session.process import Context, take_realtime
 from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import LOOP_PRIORITY, partner_ports
+from pipelines.session.topology.rows import LOOP_PRIORITY
+from pipelines.session.topology.streams import partner_ports
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope

@@ -55,7 +55,8 @@ from pipelines.session.mission_messages import (
 from pipelines.session.process import Context
 from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import JOYSTICK, ROBOT, TELEMETRY, WALL_TOPIC
+from pipelines.session.topology.streams import TELEMETRY
+from pipelines.session.topology.topics import JOYSTICK, ROBOT, WALL_TOPIC
 from pipelines.session.training import TRAINER_TOPIC, Exercises
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.device.device import JoystickDevice

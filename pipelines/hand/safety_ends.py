@@ -18,7 +18,8 @@ from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC
 from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import JOYSTICK, ROBOT, Topology
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import JOYSTICK, ROBOT
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import NO_PICTURE, PageDevice
 from telepresence.haptics.envelope import Hold, SafetyEnvelope, SafetyLimits

@@ -15,8 +15,8 @@ from pipelines.report.result import fitted_line
 from pipelines.report.sections import clock_words, cpu_report, process_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.session.session_metrics import LoopMetrics
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import Direction, Segment
 from pipelines.session.verdict import ProcessNow, process_failures
 from telepresence.link.link_metrics import (
     PeerMetrics,

@@ -29,7 +29,7 @@ from pipelines.session.command_process import OwnOutput, plain, say
 from pipelines.session.launcher import Launcher
 from pipelines.session.session_switch import Activity
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology import HapticRow
+from pipelines.session.topology.rows import HapticRow
 from telepresence.haptics.haptic_metrics import SamplesReceived
 from telepresence.link.link_metrics import PeerMetrics
 

@@ -21,7 +21,7 @@ from pipelines.session.session_metrics import (
     SessionEvents,
 )
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import CONSOLE, FOXGLOVE, METRICS, RECORDER, ROS2, SELECTOR
+from pipelines.session.topology.topics import CONSOLE, FOXGLOVE, METRICS, RECORDER, ROS2, SELECTOR
 from pipelines.session.verdict import ProcessNow
 
 #: Ends that meet again may take so long.

@@ -41,7 +41,8 @@ from pipelines.report.sync_metrics import LIMITS
 from pipelines.seats.page_metrics import HOLDER, PageMetrics
 from pipelines.session.session_metrics import Event, gathered
 from pipelines.session.session_switch import Activity, SessionSwitch
-from pipelines.session.topology import PAGES, Segment
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import PAGES
 from pipelines.session.verdict import ProcessNow
 
 Figure = int | float | str | bool | None

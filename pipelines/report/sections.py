@@ -19,8 +19,9 @@ from pipelines.report import model
 from pipelines.report.collector import Collector, ProcessMetrics
 from pipelines.report.silence import Silence
 from pipelines.session.session_metrics import DatedEvent, TrainerMetrics
+from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import TaskRow
-from pipelines.session.topology import (
+from pipelines.session.topology.topics import (
     RTC,
     RTC_CAMERA,
     RTC_DISPLAY,
@@ -28,7 +29,6 @@ from pipelines.session.topology import (
     SECOND_ROBOT,
     TASKS,
     TRAINER,
-    Segment,
     component_process,
 )
 from telepresence.haptics.authority import AuthorityMetrics

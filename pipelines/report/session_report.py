@@ -23,7 +23,8 @@ from pipelines.report.warnings import find_warnings
 from pipelines.session.session_metrics import LoopMetrics, ProbeMetrics
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology import FOXGLOVE, ROBOT, HapticRow
+from pipelines.session.topology.rows import HapticRow
+from pipelines.session.topology.topics import FOXGLOVE, ROBOT
 from pipelines.session.verdict import ProcessNow, process_failures
 from telepresence.haptics.envelope import SafetyMetrics
 from telepresence.haptics.haptic_metrics import (

@@ -13,8 +13,8 @@ from pipelines.report.link_report import end_line, ledger_line, peer_lines
 from pipelines.report.result import fitted_line, fitted_table
 from pipelines.report.sections import clock_words
 from pipelines.report.terms import TERMS
+from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import TaskRow
-from pipelines.session.topology import Segment
 
 #: What stands where there is no sample.
 NO_SAMPLE = "–"

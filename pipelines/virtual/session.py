@@ -32,8 +32,9 @@ from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
 from pipelines.session.mission_messages import RobotOrder
 from pipelines.session.probe import FLUSH_NS
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
 from pipelines.table import topology_of
 from pipelines.virtual.media import Media
 from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc

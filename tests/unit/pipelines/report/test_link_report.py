@@ -13,8 +13,8 @@ from pipelines.report import link_report
 from pipelines.report.collector import Collector
 from pipelines.report.model import LinkReport, from_json, to_json
 from pipelines.session.session_metrics import LoopMetrics
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Direction, Segment
 from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
 from telepresence.link.gateway import Gateway
