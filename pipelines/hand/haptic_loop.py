@@ -2,7 +2,7 @@
 
 import secrets
 import select
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from pipelines.hand.haptic_trace import BLOCK_ROWS
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
@@ -42,26 +42,23 @@ def new_boot_id() -> int:
 def run_loop(
     context: Context,
     end: RobotEnd | JoystickEnd | ReplayedEnd,
-    ports: tuple[int, int],
+    port: int,
+    send: Send,
     publish: Callable[[WorldState], None] | None = None,
     *,
     before: Cycle | None = None,
     after: Cycle | None = None,
-    seldom: Sequence[Cycle] = (),
-    route: Callable[[Send], Send] | None = None,
+    seldom: Cycle | None = None,
 ) -> None:
     """Run an end at 1 kHz.
 
-    ports: the one of its samples, and the peer's. route: where samples go to more than one peer.
+    port: where it takes samples. send: called with each of its own.
     before, after: called in each cycle. seldom: called every `SELDOM` cycles.
     """
     clock, probe = context.clock, context.probe
-    udp = context.listen_own(ports[0])
+    udp = context.listen_own(port)
     more = select.poll()
     more.register(udp, select.POLLIN)
-    send = context.own_sender(ports[1])
-    if route is not None:
-        send = route(send)
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))
     # Looked up once: what follows runs a thousand times a second.
     take = udp.recv
@@ -117,8 +114,8 @@ def run_loop(
         wait -= 1
         if not wait:
             wait = SELDOM
-            for look in seldom:
-                look(now_ns)
+            if seldom is not None:
+                seldom(now_ns)
         if now_ns >= tick_ns:
             tick_ns = now_ns + TIMEOUT_NS
             context.tick(now_ns)

@@ -240,8 +240,8 @@ def run_haptic_replay(
     """Send the recorded samples of an end, in a loop at 1 kHz."""
     time = start.time_of(context)
     end = ReplayedEnd(rows, time, context.probe, robot=robot, boot_id=new_boot_id())
-    ports = session_ports(context.topology, "robot" if robot else "joystick")
-    run_loop(context, end, ports)
+    port, gateway_port = session_ports(context.topology, "robot" if robot else "joystick")
+    run_loop(context, end, port, context.own_sender(gateway_port))
 
 
 def replayed_session(
