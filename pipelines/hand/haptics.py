@@ -57,7 +57,7 @@ class _End(Generic[Side]):
     def _numbers(self) -> tuple[int, int, int]:
         """Samples sent and received so far, and the number of the newest received."""
         link = self._link
-        return link.sent, link.received, link.newest_sequence
+        return link.sent, link.counts.received, link.numbers.newest
 
     def _axes_row(self) -> Sequence[float]:
         """Place, force and credit of each axis behind x and y."""

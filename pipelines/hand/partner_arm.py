@@ -170,12 +170,12 @@ _LOOK_NS = 100 * NS_PER_MS
 
 def told(side: JoystickSide | RobotSide, peer: str) -> int:
     """Print what went to the peer and came from it; return 0 if something came, else 1."""
-    metrics = side.link
+    counts = side.link.counts
     print(
-        f"{metrics.sent} samples to the {peer}, {metrics.received} from it, "
-        f"{metrics.lost} lost, {metrics.garbage} garbage"
+        f"{side.link.sent} samples to the {peer}, {counts.received} from it, "
+        f"{counts.lost} lost, {counts.garbage} garbage"
     )
-    return 0 if metrics.received else 1
+    return 0 if counts.received else 1
 
 
 def run_side(

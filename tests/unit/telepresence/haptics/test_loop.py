@@ -85,7 +85,8 @@ def test_a_number_counts_by_the_time_that_has_passed(arrivals, counts):
     link, arrive = started()
     for sequence, now_ms in arrivals:
         arrive(sequence, now_ms * MS)
-    assert (link.received, link.lost, link.late, link.restarts) == counts
+    found = link.received_metrics()
+    assert (found.received, found.lost, found.late, found.restarts) == counts
 
 
 @pytest.mark.parametrize("newest", [100, 20_000, 50_000, 65_500])
@@ -107,7 +108,7 @@ def test_a_restarted_peer_is_heard_within_a_tenth_of_a_second(newest):
         peer.handle_datagram(back, now_ns)
         if link.latest(now_ns) == command(0.5):
             heard.append(sequence)
-    assert heard[0] <= 100 and link.lost < 100
+    assert heard[0] <= 100 and link.counts.lost < 100
 
 
 def test_numbers_that_begin_anew_out_of_order_are_heard_within_a_tenth_of_a_second():
@@ -154,7 +155,7 @@ def test_restart_is_an_event():
         session = begin_session(link, request=boot_id << 8)
         link.handle_datagram(pack_command(sequence, command(0.0), session=session), 0)
     assert list(iter(link.next_event, None)) == [PeerFound(0), PeerRestarted(0)]
-    assert (link.received, link.late, link.lost) == (3, 0, 0)
+    assert link.counts == SamplesReceived(received=3, sessions=2)
 
 
 def test_a_greeting_alone_changes_nothing():
