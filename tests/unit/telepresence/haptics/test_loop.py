@@ -155,7 +155,7 @@ def test_restart_is_an_event():
         session = begin_session(link, request=boot_id << 8)
         link.handle_datagram(pack_command(sequence, command(0.0), session=session), 0)
     assert list(iter(link.next_event, None)) == [PeerFound(0), PeerRestarted(0)]
-    assert link.counts == SamplesReceived(received=3, sessions=2)
+    assert link.counts == SamplesReceived(received=3, sessions=3)
 
 
 def test_a_greeting_alone_changes_nothing():
