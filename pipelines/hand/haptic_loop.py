@@ -14,7 +14,6 @@ from pipelines.session.topology.table import Topology
 from telepresence.haptics.axes import sample_octets
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.haptics.session import BOOT_IDS
-from telepresence.world import WorldState
 
 #: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
 _PHASE = 0.5
@@ -44,7 +43,6 @@ def run_loop(
     end: RobotEnd | JoystickEnd | ReplayedEnd,
     port: int,
     send: Send,
-    publish: Callable[[WorldState], None] | None = None,
     *,
     before: Cycle | None = None,
     after: Cycle | None = None,
@@ -69,7 +67,7 @@ def run_loop(
         end.handle_datagram,
         end.handle_cycle,
     )
-    poll_transmit, next_event, ask = end.poll_transmit, end.next_event, more.poll
+    poll_transmit, ask = end.poll_transmit, more.poll
     # A list, because an array checks the type of each number.
     lateness: list[int] = []
     lateness_rows, add_lateness = probe.series(LatenessRow), lateness.append
@@ -105,10 +103,6 @@ def run_loop(
         sample = poll_transmit(now_ns)
         if sample is not None:
             send(sample)
-        if publish is not None:
-            state = next_event()
-            if state is not None:
-                publish(state)
         if after is not None:
             after(now_ns)
         wait -= 1

@@ -17,7 +17,6 @@ from pipelines.session.datagrams import Outlet, OwnOutlet, receive
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import SECOND_ROBOT_TOPIC
 from pipelines.session.process import Context, take_realtime
-from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology.rows import LOOP_PRIORITY
 from pipelines.session.topology.streams import partner_ports
@@ -48,12 +47,15 @@ def run_second_robot(context: Context) -> None:
         return
     robot = open_robot(spec)
     with closing(robot), context.open_bus() as bus:
-        publish = state_publisher(bus, SECOND_ROBOT_TOPIC)
+        states = TopicWriter(bus, SECOND_ROBOT_TOPIC)
         limits = within(context.setup.safety, robot.capabilities)
         envelope = SafetyEnvelope(limits, delay_ns=context.setup.round_trip_ns)
         end = RobotEnd(context.probe, robot_side(envelope, boot_id=new_boot_id(), robot=robot))
         powered = PoweredRobot(robot, envelope)
         stop = FollowedStop(KeptOrders(context.session), envelope)
+
+        def after(_now_ns: int) -> None:
+            publish_state(states, end)
 
         def seldom(now_ns: int) -> None:
             stop.follow(now_ns)
@@ -61,13 +63,13 @@ def run_second_robot(context: Context) -> None:
 
         taken, given = partner_ports(context.setup)
         send = context.own_sender(given)
-        run_loop(context, end, taken, send, publish, before=powered.watch, seldom=seldom)
+        run_loop(context, end, taken, send, before=powered.watch, after=after, seldom=seldom)
 
 
-def state_publisher(bus: TopicBus, topic: Topic[WorldState]) -> Callable[[WorldState], None]:
-    """Return what publishes the states of a robot."""
-    writer = TopicWriter(bus, topic)
-    return lambda state: writer.publish(state.dated(), state.time_ns)
+def publish_state(states: TopicWriter[WorldState], end: RobotEnd) -> None:
+    """Publish the state of a robot, if there is a new one; after each cycle."""
+    if (state := end.next_event()) is not None:
+        states.publish(state.dated(), state.time_ns)
 
 
 class PoweredRobot:

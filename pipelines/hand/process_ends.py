@@ -22,7 +22,7 @@ from pipelines.hand.haptic_trace import (
     HapticTrace,
 )
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
-from pipelines.hand.partner_arm import PartnersRobot, SharedArm, state_publisher
+from pipelines.hand.partner_arm import PartnersRobot, SharedArm, publish_state
 from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
 from pipelines.hand.safety_ends import (
     UNKNOWN_JOYSTICK,
@@ -95,8 +95,8 @@ class _Traced:
 class _Robot:
     """What the robot's process does beside the exchange of samples.
 
-    Call `before` in each cycle, before the robot moves, and `seldom` every few cycles. Where the
-    hand is mediated, call `after` at the end of each cycle.
+    Call `before` in each cycle, before the robot moves, `after` at its end, and `seldom` every few
+    cycles.
     """
 
     def __init__(self, context: Context, bus: TopicBus, robot: Robot) -> None:
@@ -142,6 +142,7 @@ class _Robot:
         context.on_flush(lambda: context.probe.publish(self._service.report()))
         self._stop = FollowedStop(self._kept, envelope)
         self._traced = _Traced(bus, ROBOT_TRACE_TOPIC, self.end.trace)
+        self._states = TopicWriter(bus, ROBOT_TOPIC)
         self._status = TopicWriter(bus, ROBOT_STATUS_TOPIC)
         # Only a kernel orders.
         self._orders = TopicReader(bus, ROBOT_ORDER_TOPIC, depth=_ORDERS, opened=tasks)
@@ -158,8 +159,8 @@ class _Robot:
         self._service.step(now_ns)
 
     def after(self, now_ns: int) -> None:
-        wall = self.end.poll_wall(now_ns)
-        if wall is not None and self._send_wall is not None:
+        publish_state(self._states, self.end)
+        if self._send_wall is not None and (wall := self.end.poll_wall(now_ns)) is not None:
             self._send_wall(wall)
 
     def seldom(self, now_ns: int) -> None:
@@ -213,9 +214,8 @@ def run_robot(context: Context) -> None:
             shell.end,
             shell.port,
             shell.send,
-            state_publisher(bus, ROBOT_TOPIC),
             before=shell.before,
-            after=None if context.setup.hand == "direct" else shell.after,
+            after=shell.after,
             seldom=shell.seldom,
         )
 

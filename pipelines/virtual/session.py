@@ -275,7 +275,8 @@ class Simulation:
         before_robot = None if self.robot_commands is None else self.robot_commands.step
         robot_sends, joystick_sends = robot.poll_transmit, joystick.poll_transmit
         feedback, command = ground.handle_haptic, space.handle_haptic
-        next_state, advance = robot.next_event, self._advance
+        next_state = robot.next_event if isinstance(robot, RobotEnd) else lambda: None
+        advance = self._advance
         samples_down, samples_up = self._samples_down, self._samples_up
         poll_wall = robot.poll_wall if isinstance(robot, RobotEnd) and self._mediated else None
         see = self._sight()

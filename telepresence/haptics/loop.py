@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
@@ -48,31 +48,6 @@ _tuple = tuple.__new__
 
 #: Stamps kept for a latency meter; beyond that the oldest are dropped.
 _STAMPS_DEPTH = 8192
-
-
-@dataclass(frozen=True, slots=True)
-class PeerFound:
-    """Samples arrive, for the first time or again; noticed at `now_ns`."""
-
-    now_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class PeerLost:
-    """No sample since `last_ns`; noticed at `now_ns`."""
-
-    now_ns: int
-    last_ns: int
-
-
-@dataclass(frozen=True, slots=True)
-class PeerRestarted:
-    """A session began with a new start of the peer; noticed at `now_ns`."""
-
-    now_ns: int
-
-
-HapticEvent = PeerFound | PeerLost | PeerRestarted
 
 
 class _Totals:
@@ -140,7 +115,6 @@ class HapticLink(Generic[Out, In]):
         self._local: Out | None = None
         self._newest: In | None = None
         self._held_ns = _NEVER_NS
-        self._events: deque[HapticEvent] = deque(maxlen=64)
         # Each kept object would take memory that no cache holds, so keep few: numbers sent follow
         # from `sent`; what was received is stored flat as sequence number, instant, ...
         self._sent_ns: deque[int] = deque(maxlen=_STAMPS_DEPTH)
@@ -184,9 +158,7 @@ class HapticLink(Generic[Out, In]):
         stamps = self._received_stamps
         stamps.append(sequence)
         stamps.append(now_ns)
-        if not self.hearing:
-            self.hearing = True
-            self._events.append(PeerFound(now_ns))
+        self.hearing = True
 
     def begin_anew(self, *, for_partner: bool) -> None:
         """Of a joystick: leave this robot, and ask another for a session."""
@@ -218,7 +190,6 @@ class HapticLink(Generic[Out, In]):
         """
         if self.hearing and now_ns - self.numbers.newest_ns > self.max_age_ns:
             self.hearing = False
-            self._events.append(PeerLost(now_ns, self.numbers.newest_ns))
         local, self._local = self._local, None
         if local is None:
             return None
@@ -250,14 +221,6 @@ class HapticLink(Generic[Out, In]):
     def told_age_ms(self) -> int | None:
         """Of a joystick: how old its commands are at the robot, as the robot says; None before."""
         return self._echo.told_age_ms if isinstance(self._echo, EchoReturn) else None
-
-    def poll_timeout(self) -> int | None:
-        """When to call `poll_transmit` even without a value to send, or None."""
-        return self.numbers.newest_ns + self.max_age_ns + 1 if self.hearing else None
-
-    def next_event(self) -> HapticEvent | None:
-        """The oldest event that was not fetched yet, or None."""
-        return self._events.popleft() if self._events else None
 
     def take_sent_stamps(self) -> list[tuple[int, int]]:
         """Take (sequence, instant in ns) of the samples sent since the last call."""
@@ -337,9 +300,7 @@ class HapticLink(Generic[Out, In]):
         if self._axes is not None:
             self._axes.handle_receiving()
         restarted = self.session.restarts != restarts
-        if restarted:
-            self._events.append(PeerRestarted(now_ns))
-        if self._newest is None or restarted or not self.numbers.continue_with(sequence, now_ns):
+        if restarted or self._newest is None or not self.numbers.continue_with(sequence, now_ns):
             self.numbers.begin_with(sequence)
         return True
 
