@@ -40,8 +40,10 @@ from pipelines.seats.command_client import CommandClient
 from pipelines.seats.texts import CommandRequest
 from pipelines.session.access import VIEWER_WORDS
 from pipelines.session.session_metrics import SampleNumbers, SessionNews, gathered, nested_values
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_text import setup_table
-from pipelines.session.topology import TASKS, Segment, Topology
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import TASKS
 
 _WHO: Final = "foxglove"
 _SELECT_TASK = "/task/select"

@@ -27,8 +27,9 @@ from pipelines.session.access import AccessError, AccessKind, Found, Role
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import FOXGLOVE, Segment
+from pipelines.session.topology.topics import FOXGLOVE
 from pipelines.session.web_site import WebSite
 
 #: How often topics are read, and without a client.

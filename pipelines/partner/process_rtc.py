@@ -29,7 +29,8 @@ from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import VideoRow
+from pipelines.session.topology.topics import (
     RTC,
     RTC_CAMERA,
     RTC_CODED_VOICE_TOPIC,
@@ -40,7 +41,6 @@ from pipelines.session.topology import (
     RTC_VIDEO_TOPIC,
     RTC_VOICE,
     RTC_VOICE_TOPIC,
-    VideoRow,
 )
 from telepresence.haptics.authority import Authority
 

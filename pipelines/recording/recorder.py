@@ -34,7 +34,7 @@ from pipelines.recording.recorder_metrics import RecordedChannel, RecorderMetric
 from pipelines.recording.session_messages import ChannelMessage, Figure, Instants, SessionMessages
 from pipelines.session.recording_requests import PartLimits
 from pipelines.session.session_metrics import SampleNumbers
-from pipelines.session.topology import Topology
+from pipelines.session.topology.table import Topology
 
 #: After a fault of the disk, a new part is tried this often.
 RETRY_NS: Final = 2 * NS_PER_S

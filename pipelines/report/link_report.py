@@ -15,7 +15,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.sections import cpu_report, process_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.session.session_metrics import LoopMetrics, ProcessNow
-from pipelines.session.topology import Direction, Segment
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.verdict import process_failures
 from telepresence.link.link_metrics import (
     PeerMetrics,

@@ -44,7 +44,8 @@ from pipelines.ros2.ros_messages import MOST_OCTETS, RosMessages
 from pipelines.session.process import Context
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import TopicWriter
-from pipelines.session.topology import ROS2, Topology
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import ROS2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

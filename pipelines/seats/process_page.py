@@ -23,7 +23,8 @@ from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Foun
 from pipelines.session.page_messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
-from pipelines.session.topology import PAGES, Segment
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import PAGES
 from pipelines.session.web_site import WebSite
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary

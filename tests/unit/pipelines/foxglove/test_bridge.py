@@ -26,8 +26,8 @@ from pipelines.recording.channels import sources_of
 from pipelines.recording.recorded_messages import RecordedPicture, UnitMetadata, unpack
 from pipelines.recording.session_messages import Instants
 from pipelines.session.session_metrics import Event, SessionNews
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"])

@@ -21,8 +21,8 @@ from pipelines.session.access import Role
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.session_metrics import Event, SessionNews
 from pipelines.session.session_switch import Order
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
