@@ -60,6 +60,7 @@ class VideoOutlet:
         end.handle_time(clock.now_ns())
         while (datagram := receive(self.feedback)) is not None:
             end.handle_feedback(datagram, clock.now_ns())
+        self.sent.poll(clock.now_ns())
 
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) -> None:
@@ -110,11 +111,13 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                         end.handle_picture(lease, lease.stamp, clock.now_ns(), skipped=skipped)
                 outlet.work()
                 if (done := encoding.poll()) is not None and encoded is not None:
+                    end.handle_unit(done.unit, done.encoded_ns, clock.now_ns())
+                    pixels = encoded.video().data
+                    if outlet.sent.handle_unit(done.unit, encoder.unit_size, pixels):
+                        end.handle_new_viewer()
+                    del pixels
                     encoded.release()
                     encoded = None
-                    end.handle_unit(done.unit, done.encoded_ns, clock.now_ns())
-                    if outlet.sent.handle_unit(done.unit, encoder.unit_size):
-                        end.handle_new_viewer()
                 if encoded is None:
                     while retired:
                         retired.pop().close()

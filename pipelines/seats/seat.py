@@ -186,7 +186,6 @@ class Seat:
         metrics = self._metrics.joined_text()
         if metrics is not None:
             page.queue.put_metrics(metrics)
-        self.media.replay(page)
         return number
 
     def _free_name(self, role: Role) -> str:
@@ -220,10 +219,6 @@ class Seat:
         """Return the next message for a page, or None. Call it when the page can take one."""
         page = self._pages[number]
         message = page.queue.pop()
-        if message is None:
-            # It has taken all, so it can take a replay of what was left out.
-            self.media.replay(page)
-            message = page.queue.pop()
         page.idle = message is None
         return message
 
