@@ -191,7 +191,6 @@ class Seat:
         if self._session is not None:
             joined = replace(self._session, events=tuple(self._happened))
             page.queue.put_metrics(texts.pack_text(joined))
-        self.media.replay(page)
         return number
 
     def _free_name(self, role: Role) -> str:
@@ -225,10 +224,6 @@ class Seat:
         """Return the next message for a page, or None. Call it when the page can take one."""
         page = self._pages[number]
         message = page.queue.pop()
-        if message is None:
-            # It has taken all, so it can take a replay of what was left out.
-            self.media.replay(page)
-            message = page.queue.pop()
         page.idle = message is None
         return message
 
