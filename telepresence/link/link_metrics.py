@@ -64,6 +64,24 @@ class SenderMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RepairMetrics:
+    """What repair zones restored of lost frames (`RepairedPackets`)."""
+
+    #: Packet zones restored.
+    zones: int = 0
+    #: Lost zones that were not restored within the code's window.
+    given_up: int = 0
+    #: Repair zones that contradict what came: a wrong frame passed its FECF.
+    contradictions: int = 0
+    #: Packets that came out when a zone was restored.
+    packets: int = 0
+    #: Restored packets dropped: newer ones of their flow had come, or voice was too late.
+    late: int = 0
+    #: The longest wait for a zone that was restored.
+    wait_max_ns: Most[int] = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReceiverMetrics:
     """One direction at its receiver (`LinkReceiver`)."""
 
@@ -82,6 +100,8 @@ class ReceiverMetrics:
     packets: Mapping[str, int] = field(default_factory=dict)
     #: Packets dropped, by reason.
     packets_dropped: Mapping[str, int] = field(default_factory=dict)
+    #: Null where the setup repairs nothing.
+    repair: RepairMetrics | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,6 +17,7 @@ from telepresence.link.frame import COUNT_MASK, COUNT_MODULUS, FrameCodec, Point
 from telepresence.link.link_metrics import ReceiverMetrics
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.reassembly import PacketReassembly
+from telepresence.link.repair.packets import RepairedPackets
 
 #: A frame at most this far behind is late or repeated; farther behind it is of another stream.
 _LATE_FRAMES = 32
@@ -82,6 +83,7 @@ class LinkReceiver:
         self.events: deque[LinkEvent] = deque()
         #: What comes in the frames' packet zones.
         self.packets = PacketReassembly(profile, self.flows, self.events)
+        self._repair = None if profile.repair == "off" else RepairedPackets(profile, self.packets)
         #: The last frame's count, without the wraps of its 24 bits.
         self._count = 0
         #: The next count of the stream, -1 without a stream; when its frame is expected, by the
@@ -137,7 +139,10 @@ class LinkReceiver:
             return False
         else:
             self.frames_lost += skipped
-            self.packets.drop_incomplete()
+            if self._repair is None:
+                self.packets.drop_incomplete()
+            elif skipped:
+                self._repair.handle_lost(self._count + 1, skipped, now_ns)
             self._count += skipped + 1
             due_ns = self._due_ns + skipped * self._slot_ns
         self._due_ns = (now_ns if now_ns < due_ns else due_ns) + self._step_ns
@@ -151,16 +156,22 @@ class LinkReceiver:
                 self.events.append(_new_event(HapticReceived, (sample, now_ns)))
             else:
                 self.haptic_unapproved += 1
-        self.packets.handle_zone(pointer, zone, self._count, now_ns)
+        (self._repair or self.packets).handle_zone(pointer, zone, self._count, now_ns)
         return True
 
     def handle_signal_lost(self, now_ns: int) -> None:
         """The signal is lost: drop incomplete packets, which would not be completed in time."""
+        self._give_up_repair()
         self.packets.drop_incomplete()
 
     def forget_contexts(self) -> None:
         """Forget all header contexts: the peer began a new start."""
+        self._give_up_repair()
         self.packets.forget_contexts()
+
+    def _give_up_repair(self) -> None:
+        if self._repair is not None:
+            self._repair.give_up(self._last_ns)
 
     def next_event(self) -> LinkEvent | None:
         """The next event in the order of reception, or None. Call until None."""
@@ -185,7 +196,8 @@ class LinkReceiver:
         if self._next24 < 0:
             for event in other.events:
                 self._count_unapproved(event, -1)
-        self.packets.drop_incomplete()
+        other._give_up_repair()
+        self.handle_signal_lost(self._last_ns)
         if new_boot_id:
             self.restarts += self._begun
             self._count = other._count
@@ -215,7 +227,7 @@ class LinkReceiver:
 
     def leave(self) -> None:
         """Follow no stream until `follow_unknown_sender`."""
-        self.packets.drop_incomplete()
+        self.handle_signal_lost(self._last_ns)
         self._next24 = -1
 
     def _find_skipped(self, count24: int, now_ns: int) -> int | None:
@@ -298,4 +310,5 @@ class LinkReceiver:
                 for flow, received in zip(self.flows, packets.received, strict=True)
             },
             packets_dropped=dict(packets.dropped),
+            repair=None if self._repair is None else self._repair.report(),
         )

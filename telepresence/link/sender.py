@@ -21,11 +21,15 @@ from telepresence.link.header_compression import KIND_WHOLE, RtpCompressor
 from telepresence.link.link_metrics import SenderMetrics
 from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
+from telepresence.link.repair.encoder import RepairEncoder
 from telepresence.tmtc.pus.head import is_packet
 
 #: Largest number of packets of which a slot sends a part. It bounds the work of a slot at both
 #: ends; packets of six octets or more fill the largest zone with fewer.
 MOST_PIECES = 64
+#: A reserved repair zone comes so many slots after the end of a voice packet.
+RESERVED_SLOTS = 2
+_NEVER = 1 << 62
 
 
 @dataclass(slots=True)
@@ -95,6 +99,13 @@ class LinkSender:
         levels = (level.name.lower() for level in Level)
         self._carried = dict.fromkeys((*levels, "rtcp", "packet_headers", "framing"), 0)
         self._idle = 0
+        self._repair = None if profile.repair == "off" else RepairEncoder(profile)
+        self._repair_octets = 0
+        #: Only the next zone's pointer tells that the packet in flight ended with the last zone.
+        self._end_untold = False
+        #: Whether a slot is reserved for repair behind each voice packet; and the next such slot.
+        self.reserve = False
+        self._reserved_count = _NEVER
 
     def handle_haptic(self, sample: bytes, now_ns: int) -> bool:
         """Set the newest sample of exactly `insert_octets`; it replaces one not sent yet.
@@ -178,24 +189,48 @@ class LinkSender:
             size = self._sample_zone_octets
         else:
             size = self._plain_zone_octets
-        count = self._count
+        count, repair = self._count, self._repair
+        content, untold, repaired = None, self._end_untold, None
         if supervision is not None:
             if len(supervision) != SUPERVISION_OCTETS:
                 raise ValueError(f"a supervision message has {SUPERVISION_OCTETS} octets")
             self.supervision_sent += 1
             self._idle += size - SUPERVISION_OCTETS
-            pointer, zone = self._pointers.supervision, supervision.ljust(size, b"\0")
-        elif self._nothing_queued:
-            self._count = count + 1
-            self._idle += size
-            return self._codec.pack_idle(count, sample)
-        else:
-            pointer, zone = self._fill_zone(size, now_ns)
+            content = self._pointers.supervision, supervision.ljust(size, b"\0")
+        elif not self._nothing_queued:
+            if repair is not None and count >= self._reserved_count and self._may_reserve():
+                repaired = repair.repair(count, plain=sample is None, reserved=True)
+            if repaired is None:
+                self._end_untold = False
+                content = self._fill_zone(size, now_ns)
         self._count = count + 1
-        return self._codec.pack(count, sample, pointer, zone)
+        if repair is not None:
+            if content is not None:
+                repair.protect(count, *content)
+            elif repaired is None and not untold:
+                repaired = repair.repair(count, plain=sample is None)
+            if repaired is not None:
+                self._reserved_count = _NEVER
+                self._repair_octets += size
+                return self._codec.pack(count, sample, *repaired)
+        if content is not None:
+            return self._codec.pack(count, sample, *content)
+        self._end_untold = False
+        self._idle += size
+        return self._codec.pack_idle(count, sample)
 
-    def _fill_zone(self, size: int, now_ns: int) -> tuple[int, bytes]:
-        """Return the first header pointer and a packet zone of `size` octets."""
+    def _may_reserve(self) -> bool:
+        """Whether a repair zone may go before what waits: only before video and maintenance."""
+        on_air, queues = self._on_air, self._queues
+        urgent = (Level.TMTC, Level.VOICE)
+        return not (
+            self._end_untold
+            or (on_air is not None and on_air.level in urgent)
+            or any(queues[level].octets or self._waiting[level] for level in urgent)
+        )
+
+    def _fill_zone(self, size: int, now_ns: int) -> tuple[int, bytes] | None:
+        """Return the first header pointer and a packet zone of `size` octets; None: it is idle."""
         pointers = self._pointers
         queues, packet = self._queues, self._on_air
         parts: list[bytes] = []
@@ -214,9 +249,11 @@ class LinkSender:
                 remaining = len(packet.body) - packet.offset
                 if remaining > size:
                     return pointers.no_start, self._piece(packet, size)
-                queues[packet.level].finish(now_ns)
+                self._finish(packet, now_ns)
                 if remaining == size:
                     self._on_air = None
+                    # A restored zone does not tell it.
+                    self._end_untold = True
                     return size, self._piece(packet, size)
                 parts.append(self._piece(packet, remaining))
                 pointer = position = remaining
@@ -232,9 +269,9 @@ class LinkSender:
                 # Packets remain if there are too many for the work of one slot.
                 left = any(self._waiting) or any(queue.octets for queue in queues)
                 self._nothing_queued = not left
-                self._idle += rest
                 if not position and not pointer:
-                    return pointers.idle, bytes(size)
+                    return None
+                self._idle += rest
                 parts.append(bytes((TAG_FILL,)) + bytes(rest - 1))
                 break
             parts.append(self._segment(packet, rest, now_ns))
@@ -252,7 +289,8 @@ class LinkSender:
                 self._on_air = packet
                 packet.tag = TAG_RESUME + packet.level
             else:
-                self._queues[packet.level].finish(now_ns)
+                self._finish(packet, now_ns)
+                self._end_untold = True
             # The next frame's pointer shows that the packet ended with this zone.
             return segment
         short = remaining <= LARGEST_SHORT_LENGTH
@@ -261,7 +299,7 @@ class LinkSender:
             self._carried["framing"] += 1
             self._waiting[packet.level] = packet
             return bytes((TAG_PAD,))
-        self._queues[packet.level].finish(now_ns)
+        self._finish(packet, now_ns)
         self._carried[key] += 1
         tag = packet.tag | CLOSED
         if short:
@@ -270,6 +308,12 @@ class LinkSender:
         self._carried["framing"] += 2
         head = bytes((tag,)) + (LONG_LENGTH | remaining).to_bytes(2, "big")
         return head + self._piece(packet, remaining)
+
+    def _finish(self, packet: _InFlight, now_ns: int) -> None:
+        """The packet's last piece is in this slot."""
+        self._queues[packet.level].finish(now_ns)
+        if self.reserve and packet.level == Level.VOICE:
+            self._reserved_count = self._count + RESERVED_SLOTS
 
     def _piece(self, packet: _InFlight, octets: int) -> bytes:
         """Return the next `octets` of the packet, and count them by what they carry."""
@@ -319,7 +363,8 @@ class LinkSender:
         """Octets of all frames by what they carried; the sum is exactly frame_octets * frames.
 
         packet_headers: tags and RTP headers, compressed or whole. framing: M_PDU headers, lengths,
-        pads and resume tags. idle: fill, and the rest of supervision slots.
+        pads and resume tags. idle: fill, and the rest of supervision slots. repair: whole zones,
+        where the profile has repair.
         """
         frames, carried = self.frames_sent, self._carried
         return {
@@ -330,6 +375,7 @@ class LinkSender:
             "framing": carried["framing"] + frames * self.profile.mpdu_octets,
             "supervision": self.supervision_sent * SUPERVISION_OCTETS,
             "idle": self._idle,
+            **({} if self._repair is None else {"repair": self._repair_octets}),
         }
 
     def report(self, now_ns: int) -> SenderMetrics:
