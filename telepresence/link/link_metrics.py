@@ -43,6 +43,22 @@ class QueueMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RepairSentMetrics:
+    """What a sender does so that the other end can restore lost frames."""
+
+    #: `off`, `idle`: in idle slots, or `reserve`: also in slots that are kept for it.
+    mode: str
+    #: The reason for it.
+    why: str
+    #: One picture of so many is left out; 0: none.
+    leave_out: int
+    #: The share of frames that the other end lost in the last two seconds.
+    lost: float
+    #: The share that it did not restore.
+    unrestored: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SenderMetrics:
     """One direction at its sender (`LinkSender`)."""
 
@@ -61,6 +77,8 @@ class SenderMetrics:
     headers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     #: Packets not taken, by reason.
     refused: Mapping[str, int] = field(default_factory=dict)
+    #: Null where the setup repairs nothing.
+    repair: Newest[RepairSentMetrics | None] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

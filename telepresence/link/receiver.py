@@ -69,6 +69,7 @@ class LinkReceiver:
 
     profile, flows: the direction and its flow table, as at the other end.
     cautious: the first frame begins no stream; only `follow_unknown_sender` does.
+    repair: restores lost zones; None where the profile has no repair, or the peer does not know it.
     unknown: the last frame handled, if it is good but not of the stream; else None.
     """
 
@@ -83,7 +84,8 @@ class LinkReceiver:
         self.events: deque[LinkEvent] = deque()
         #: What comes in the frames' packet zones.
         self.packets = PacketReassembly(profile, self.flows, self.events)
-        self._repair = None if profile.repair == "off" else RepairedPackets(profile, self.packets)
+        self.repair: RepairedPackets | None = None
+        self.set_repair(True)
         #: The last frame's count, without the wraps of its 24 bits.
         self._count = 0
         #: The next count of the stream, -1 without a stream; when its frame is expected, by the
@@ -119,6 +121,14 @@ class LinkReceiver:
     def deliver(self, deliver: bool) -> None:
         self.packets.deliver = deliver
 
+    def set_repair(self, on: bool) -> None:
+        """Whether lost zones are restored, where the profile has repair."""
+        self._give_up_repair()
+        self.repair = None
+        self.packets.hand_on = self.packets.take
+        if on and self.profile.repair != "off":
+            self.repair = RepairedPackets(self.profile, self.packets)
+
     def handle_frame(self, frame: bytes, now_ns: int) -> bool:
         """Take a frame from the radio; return whether it is a good frame of a live peer.
 
@@ -139,10 +149,10 @@ class LinkReceiver:
             return False
         else:
             self.frames_lost += skipped
-            if self._repair is None:
+            if self.repair is None:
                 self.packets.drop_incomplete()
             elif skipped:
-                self._repair.handle_lost(self._count + 1, skipped, now_ns)
+                self.repair.handle_lost(self._count + 1, skipped, now_ns)
             self._count += skipped + 1
             due_ns = self._due_ns + skipped * self._slot_ns
         self._due_ns = (now_ns if now_ns < due_ns else due_ns) + self._step_ns
@@ -156,7 +166,7 @@ class LinkReceiver:
                 self.events.append(_new_event(HapticReceived, (sample, now_ns)))
             else:
                 self.haptic_unapproved += 1
-        (self._repair or self.packets).handle_zone(pointer, zone, self._count, now_ns)
+        (self.repair or self.packets).handle_zone(pointer, zone, self._count, now_ns)
         return True
 
     def handle_signal_lost(self, now_ns: int) -> None:
@@ -170,8 +180,8 @@ class LinkReceiver:
         self.packets.forget_contexts()
 
     def _give_up_repair(self) -> None:
-        if self._repair is not None:
-            self._repair.give_up(self._last_ns)
+        if self.repair is not None:
+            self.repair.give_up(self._last_ns)
 
     def next_event(self) -> LinkEvent | None:
         """The next event in the order of reception, or None. Call until None."""
@@ -310,5 +320,5 @@ class LinkReceiver:
                 for flow, received in zip(self.flows, packets.received, strict=True)
             },
             packets_dropped=dict(packets.dropped),
-            repair=None if self._repair is None else self._repair.report(),
+            repair=None if self.repair is None else self.repair.report(),
         )

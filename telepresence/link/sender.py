@@ -18,7 +18,7 @@ from telepresence.link.frame import (
     Pointers,
 )
 from telepresence.link.header_compression import KIND_WHOLE, RtpCompressor
-from telepresence.link.link_metrics import SenderMetrics
+from telepresence.link.link_metrics import RepairSentMetrics, SenderMetrics
 from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
 from telepresence.link.repair.encoder import RepairEncoder
@@ -53,6 +53,9 @@ class LinkSender:
     profile, flows: the direction and its flow table, as at the other end.
     limits: queue limits by level, where they differ from the defaults.
     first_count: frame count of the first frame.
+
+    repair: fills idle zones; None: they stay idle.
+    reserve: whether a slot is kept for repair behind each voice packet.
     """
 
     def __init__(
@@ -99,13 +102,17 @@ class LinkSender:
         levels = (level.name.lower() for level in Level)
         self._carried = dict.fromkeys((*levels, "rtcp", "packet_headers", "framing"), 0)
         self._idle = 0
-        self._repair = None if profile.repair == "off" else RepairEncoder(profile)
+        self.repair: RepairEncoder | None = None
+        self.set_repair(True)
         self._repair_octets = 0
         #: Only the next zone's pointer tells that the packet in flight ended with the last zone.
         self._end_untold = False
-        #: Whether a slot is reserved for repair behind each voice packet; and the next such slot.
         self.reserve = False
         self._reserved_count = _NEVER
+
+    def set_repair(self, on: bool) -> None:
+        """Whether idle slots carry repair zones, where the profile has repair."""
+        self.repair = RepairEncoder(self.profile) if on and self.profile.repair != "off" else None
 
     def handle_haptic(self, sample: bytes, now_ns: int) -> bool:
         """Set the newest sample of exactly `insert_octets`; it replaces one not sent yet.
@@ -189,7 +196,7 @@ class LinkSender:
             size = self._sample_zone_octets
         else:
             size = self._plain_zone_octets
-        count, repair = self._count, self._repair
+        count, repair = self._count, self.repair
         content, untold, repaired = None, self._end_untold, None
         if supervision is not None:
             if len(supervision) != SUPERVISION_OCTETS:
@@ -356,6 +363,11 @@ class LinkSender:
         return _InFlight(tag, body, header_octets, level, self._kinds[number])
 
     @property
+    def idle_octets(self) -> int:
+        """Octets of packet zones that carried no packets, repair included."""
+        return self._idle + self._repair_octets
+
+    @property
     def frames_sent(self) -> int:
         return self._count - self._first_count
 
@@ -375,10 +387,10 @@ class LinkSender:
             "framing": carried["framing"] + frames * self.profile.mpdu_octets,
             "supervision": self.supervision_sent * SUPERVISION_OCTETS,
             "idle": self._idle,
-            **({} if self._repair is None else {"repair": self._repair_octets}),
+            **({} if self.profile.repair == "off" else {"repair": self._repair_octets}),
         }
 
-    def report(self, now_ns: int) -> SenderMetrics:
+    def report(self, now_ns: int, repair: RepairSentMetrics | None = None) -> SenderMetrics:
         """Return rates, the octets by what they carried, and each level's queue."""
         return SenderMetrics(
             capacity_bps=self.profile.capacity_bps,
@@ -393,6 +405,7 @@ class LinkSender:
                 if compressor is not None
             },
             refused=dict(self.refused),
+            repair=repair,
         )
 
 

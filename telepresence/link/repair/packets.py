@@ -155,6 +155,12 @@ class RepairedPackets:
         came_ns = self._came_ns.get(place >> PLACE_SHIFT, now_ns)
         return now_ns - came_ns > VOICE_LATE_NS
 
+    @property
+    def losses(self) -> tuple[int, int]:
+        """Zones lost, but for gaps as long as the window; and those given up."""
+        decoder = self._decoder
+        return decoder.restored + decoder.given_up + len(decoder.lost), decoder.given_up
+
     def report(self) -> RepairMetrics:
         decoder = self._decoder
         return RepairMetrics(
