@@ -170,8 +170,8 @@ def _direction(direction: str, link: model.DirectionReport) -> list[str]:
     if receiver.packets:
         came = ", ".join(f"{name} {count}" for name, count in receiver.packets.items() if count)
         frames = f"{receiver.frames_lost} frames lost"
-        if receiver.repair is not None:
-            frames += f", {receiver.repair.zones} of them restored"
+        if receiver.repaired is not None:
+            frames += f", {receiver.repaired.zones} of them restored"
         lines.append(f"{direction} received: {frames}; packets {came or 'none'}")
         dropped = {**receiver.frames_dropped, **receiver.packets_dropped}
         if dropped:

@@ -51,7 +51,7 @@ class RepairSentMetrics:
     #: The reason for it.
     why: str
     #: One picture of so many is left out; 0: none.
-    leave_out: int
+    leave_out: Newest[int]
     #: The share of frames that the other end lost in the last two seconds.
     lost: float
     #: The share that it did not restore.
@@ -78,7 +78,7 @@ class SenderMetrics:
     #: Packets not taken, by reason.
     refused: Mapping[str, int] = field(default_factory=dict)
     #: Null where the setup repairs nothing.
-    repair: Newest[RepairSentMetrics | None] = None
+    repair_sent: RepairSentMetrics | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +119,7 @@ class ReceiverMetrics:
     #: Packets dropped, by reason.
     packets_dropped: Mapping[str, int] = field(default_factory=dict)
     #: Null where the setup repairs nothing.
-    repair: RepairMetrics | None = None
+    repaired: RepairMetrics | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -320,5 +320,5 @@ class LinkReceiver:
                 for flow, received in zip(self.flows, packets.received, strict=True)
             },
             packets_dropped=dict(packets.dropped),
-            repair=None if self.repair is None else self.repair.report(),
+            repaired=None if self.repair is None else self.repair.report(),
         )

@@ -247,13 +247,15 @@ class LinkSender:
             packet = self._on_air = None
             self._on_air_dropped = True
         if packet is not None:
-            for level in range(packet.level):
-                if queues[level].octets and queues[level].waiting(now_ns):
-                    pointer = pointers.preempt
-                    self._waiting[packet.level] = packet
-                    break
+            remaining = len(packet.body) - packet.offset
+            if any(queues[n].octets and queues[n].waiting(now_ns) for n in range(packet.level)) or (
+                size != self._sample_zone_octets
+                and self.repair is not None
+                and remaining < self.repair.least_position
+            ):
+                pointer = pointers.preempt
+                self._waiting[packet.level] = packet
             else:
-                remaining = len(packet.body) - packet.offset
                 if remaining > size:
                     return pointers.no_start, self._piece(packet, size)
                 self._finish(packet, now_ns)
@@ -405,7 +407,7 @@ class LinkSender:
                 if compressor is not None
             },
             refused=dict(self.refused),
-            repair=repair,
+            repair_sent=repair,
         )
 
 

@@ -1,13 +1,16 @@
-"""The receiving end of the code: lost symbols from repair zones. No I/O, no clock."""
+"""The receiving end of the code: lost slots from repair zones. No I/O, no clock."""
 
 from collections import deque
 
 from telepresence.link.profile import LinkProfile
-from telepresence.link.repair.codes import WINDOW, code_of, inverse, multiply
-from telepresence.link.repair.symbols import Content, Symbols
+from telepresence.link.repair.codes import WINDOW, code_of, multiply
+from telepresence.link.repair.symbols import ELEMENT_BITS, ELEMENTS, Content, Symbols
+from telepresence.link.repair.unknowns import Unknowns
 
-#: Coefficients of lost slots, by count, and the sum of their products with the slots' symbols.
-_Equation = tuple[dict[int, int], int]
+#: Slots, and their pointer and zone; None: packets waited.
+Restored = list[tuple[int, Content | None]]
+
+_ELEMENT = (1 << ELEMENT_BITS) - 1
 
 
 class RepairDecoder:
@@ -19,101 +22,137 @@ class RepairDecoder:
 
     def __init__(self, profile: LinkProfile) -> None:
         self._symbols = Symbols(profile)
-        self._code = code_of(profile)
+        self._code = code = code_of(profile)
         self.lost: dict[int, None] = {}
-        #: The latest slots: symbol, or pointer and zone while nobody needs the symbol; None: lost.
-        self._slots: deque[int | Content | None] = deque(maxlen=WINDOW)
-        self._count = 0
-        #: By the oldest lost slot in it. No other equation has that slot.
-        self._equations: dict[int, _Equation] = {}
-        self.restored = self.given_up = self.contradictions = 0
+        #: The latest slots: symbols, or pointer and zone while nobody needs them; None: lost.
+        self._slots: deque[tuple[int, int] | Content | None] = deque(maxlen=WINDOW)
+        self._first = Unknowns(code.scale)
+        #: The second symbol is whole, or each element of it has equations of its own.
+        scale, parts = (multiply, ELEMENTS) if profile.pointer_in_vcid else (code.scale, 1)
+        self._second = [Unknowns(scale) for _ in range(parts)]
+        #: Of lost slots: what is known of them so far.
+        self._firsts: dict[int, int] = {}
+        self._seconds: dict[int, dict[int, int]] = {}
+        self.restored = self.given_up = 0
+
+    @property
+    def contradictions(self) -> int:
+        """Repair zones that did not agree with what came."""
+        return sum(unknowns.contradictions for unknowns in (self._first, *self._second))
 
     def restart(self) -> None:
         """Nothing is known of the slots before the next one."""
         self._slots.clear()
-        self._equations.clear()
+        for unknowns in (self._first, *self._second):
+            unknowns.clear()
         self.given_up += len(self.lost)
-        self.lost.clear()
+        for known in (self.lost, self._firsts, self._seconds):
+            known.clear()
 
     def handle_lost(self, count: int) -> None:
         """The frame of this slot did not come."""
         self._append(count, None)
-        self.lost[count] = None
+        for lost in (self.lost, self._first.lost, *(each.lost for each in self._second)):
+            lost[count] = None
+        self._seconds[count] = {}
 
-    def handle_zone(self, count: int, pointer: int, zone: bytes) -> list[tuple[int, int]]:
-        """The frame of this slot came. Return the slots that this restores, and their symbols."""
-        restored: list[tuple[int, int]] = []
+    def handle_zone(self, count: int, pointer: int, zone: bytes) -> Restored:
+        """The frame of this slot came.
+
+        Return the slots that this restores, oldest first, as `Symbols.content` does.
+        """
+        restored: Restored = []
         # An equation is of use only if its whole window is known or counted as lost.
         if self.lost and len(self._slots) == WINDOW and self._symbols.is_repair(pointer, zone):
-            restored = self._solve(count, self._symbols.parse(pointer, zone))
+            self._solve(count, pointer, zone)
+            restored = self._take_restored(count)
         self._append(count, (pointer, zone))
         return restored
 
     def _append(self, count: int, slot: Content | None) -> None:
         self._slots.append(slot)
-        self._count = count
-        lost = self.lost
-        while lost and (oldest := next(iter(lost))) <= count - WINDOW:
-            del lost[oldest]
-            self._equations.pop(oldest, None)
+        while self.lost and (oldest := next(iter(self.lost))) <= count - WINDOW:
             self.given_up += 1
+            self._forget(oldest)
+            for unknowns in (self._first, *self._second):
+                if oldest in unknowns.lost:
+                    unknowns.give_up(oldest)
 
-    def _solve(self, count: int, value: int) -> list[tuple[int, int]]:
-        """Take the equation of the repair zone of the slot `count`, which comes next."""
-        coefficient, equations = self._code.coefficient, self._equations
-        value ^= self._code.sum(self._known(count), count)
-        unknown = {slot: factor for slot in self.lost if (factor := coefficient(count, slot))}
-        for slot in [slot for slot in unknown if slot in equations]:
-            unknown, value = self._subtract((unknown, value), unknown[slot], equations[slot])
-        if not unknown:
-            if value:
-                # Some frame was wrong in spite of its FECF.
-                self.contradictions += 1
-                equations.clear()
-            return []
-        pivot = min(unknown)
-        factor = inverse(unknown[pivot])
-        new = (
-            {slot: multiply(factor, old) for slot, old in unknown.items()},
-            self._scaled(factor, value),
-        )
-        for slot, equation in equations.items():
-            if pivot in equation[0]:
-                equations[slot] = self._subtract(equation, equation[0][pivot], new)
-        equations[pivot] = new
-        return self._take_restored(count)
+    def _forget(self, slot: int) -> None:
+        del self.lost[slot], self._seconds[slot]
+        self._firsts.pop(slot, None)
 
-    def _known(self, count: int) -> list[tuple[int, int]]:
-        """The slots of the window that are known, but for those whose symbol is 0."""
-        slots, first, known = self._slots, count - len(self._slots), []
+    def _solve(self, count: int, pointer: int, zone: bytes) -> None:
+        """Take the equations of the repair zone of the slot `count`, which comes next."""
+        code = self._code
+        first, second, left_out = self._symbols.parse(pointer, zone, count)
+        first ^= code.sum(self._known(count)[0], count)
+        self._note_firsts(self._first.solve(self._unknown(self._first, count), first))
+        if second is None or not any(unknowns.lost for unknowns in self._second):
+            return
+        # First symbols may have told some second ones.
+        second ^= code.sum(self._known(count)[1], count)
+        if left_out is None:
+            whole = self._second[0]
+            self._note_seconds(0, whole.solve(self._unknown(whole, count), second))
+            return
+        for element, unknowns in enumerate(self._second):
+            if element != left_out:
+                value = second >> element * ELEMENT_BITS & _ELEMENT
+                self._note_seconds(element, unknowns.solve(self._unknown(unknowns, count), value))
+
+    def _note_firsts(self, solved: dict[int, int]) -> None:
+        for slot, symbol in solved.items():
+            self._firsts[slot] = symbol
+            if not self._symbols.is_plain(symbol):
+                for part, unknowns in enumerate(self._second):
+                    if slot in unknowns.lost:
+                        self._note_seconds(part, {slot: 0, **unknowns.know(slot)})
+
+    def _note_seconds(self, part: int, solved: dict[int, int]) -> None:
+        for slot, value in solved.items():
+            self._seconds[slot][part] = value
+
+    def _unknown(self, unknowns: Unknowns, count: int) -> dict[int, int]:
+        coefficient = self._code.coefficient
+        return {slot: factor for slot in unknowns.lost if (factor := coefficient(count, slot))}
+
+    def _known(self, count: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+        """First and second symbols of the window, but for those that are 0."""
+        slots, oldest = self._slots, count - len(self._slots)
+        firsts, seconds = [], []
         for place, slot in enumerate(slots):
-            if slot is not None:
-                if not isinstance(slot, int):
-                    slots[place] = slot = self._symbols.symbol(*slot)
-                if slot:
-                    known.append((first + place, slot))
-        return known
-
-    def _subtract(self, equation: _Equation, factor: int, other: _Equation) -> _Equation:
-        unknown = dict(equation[0])
-        for slot, coefficient in other[0].items():
-            if left := unknown.get(slot, 0) ^ multiply(factor, coefficient):
-                unknown[slot] = left
+            count = oldest + place
+            if slot is None:
+                first, second = self._firsts.get(count, 0), self._second_of(count)
+            elif isinstance(slot[1], int):
+                first, second = slot
             else:
-                del unknown[slot]
-        return unknown, equation[1] ^ self._scaled(factor, other[1])
+                first, second = slots[place] = self._symbols.symbols(*slot)
+            if first:
+                firsts.append((count, first))
+            if second:
+                seconds.append((count, second))
+        return firsts, seconds
 
-    def _scaled(self, factor: int, symbol: int) -> int:
-        return symbol if factor == 1 else self._code.scale(factor, symbol)
+    def _second_of(self, slot: int) -> int:
+        """What is known of the second symbol of a lost slot."""
+        parts = self._seconds.get(slot, {}).items()
+        return sum(value << part * ELEMENT_BITS for part, value in parts)
 
-    def _take_restored(self, count: int) -> list[tuple[int, int]]:
-        first = count - len(self._slots)
-        solved = [slot for slot, (unknown, _) in self._equations.items() if len(unknown) == 1]
-        restored = []
-        for slot in sorted(solved):
-            _, symbol = self._equations.pop(slot)
-            del self.lost[slot]
-            self._slots[slot - first] = symbol
-            restored.append((slot, symbol))
-        self.restored += len(restored)
+    def _take_restored(self, count: int) -> Restored:
+        restored: Restored = []
+        first_slot = count - len(self._slots)
+        for slot in list(self.lost):
+            first = self._firsts.get(slot)
+            if first is None or len(self._seconds[slot]) < len(self._second):
+                continue
+            second = self._second_of(slot)
+            self._slots[slot - first_slot] = first, second
+            self._forget(slot)
+            try:
+                restored.append((slot, self._symbols.content(first, second)))
+                self.restored += 1
+            except KeyError:
+                self.given_up += 1
         return restored

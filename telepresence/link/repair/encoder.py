@@ -21,13 +21,18 @@ class RepairEncoder:
         self._symbols = Symbols(profile)
         self._code = code_of(profile)
         self._per_zone, self._least = _SHORT_CREDIT if profile.pointer_in_vcid else _LONG_CREDIT
-        #: Protected slots and their symbols, oldest first.
-        self._protected: deque[tuple[int, int]] = deque()
+        #: Protected slots, oldest first, with their first and second symbols.
+        self._protected: deque[tuple[int, int, int]] = deque()
         self._credit = 0
+
+    @property
+    def least_position(self) -> int:
+        """As of `Symbols`."""
+        return self._symbols.least_position
 
     def protect(self, count: int, pointer: int, zone: bytes) -> None:
         """The slot `count` carries packets, or a supervision message."""
-        self._protected.append((count, self._symbols.symbol(pointer, zone)))
+        self._protected.append((count, *self._symbols.symbols(pointer, zone)))
         self._forget(count)
         self._credit = min(max(self._credit + self._per_zone, self._least), WINDOW)
 
@@ -43,8 +48,12 @@ class RepairEncoder:
             return None
         if not reserved:
             self._credit -= 1
-        symbol = self._code.sum(self._protected, count)
-        return self._symbols.pack(symbol, plain=plain) if symbol else None
+        first = self._code.sum(((slot, first) for slot, first, _ in self._protected), count)
+        second = None
+        if plain:
+            seconds = ((slot, second) for slot, _, second in self._protected if second)
+            second = self._code.sum(seconds, count)
+        return self._symbols.pack(first, second, count) if first or second else None
 
     def _forget(self, count: int) -> None:
         protected = self._protected

@@ -18,7 +18,7 @@ from telepresence.link.link_metrics import RepairMetrics
 from telepresence.link.profile import LinkProfile
 from telepresence.link.reassembly import PLACE_SHIFT, PacketReassembly
 from telepresence.link.repair.codes import WINDOW
-from telepresence.link.repair.decoder import RepairDecoder
+from telepresence.link.repair.decoder import RepairDecoder, Restored
 from telepresence.link.repair.symbols import Content, Symbols
 
 #: Voice that comes later than this is of no use, and late packets raise the playout delay.
@@ -103,15 +103,14 @@ class RepairedPackets:
         self._newest = [-1] * len(self._newest)
         self._sequences = [-1] * len(self._sequences)
 
-    def _read_again(self, restored: list[tuple[int, int]], now_ns: int) -> None:
-        for count, symbol in restored:
-            if self._symbols.is_known(symbol):
-                self._zones[count] = self._symbols.content(symbol) or _NOTHING
+    def _read_again(self, restored: Restored, now_ns: int) -> None:
+        for count, content in restored:
+            self._zones[count] = content or _NOTHING
             self._wait_max_ns = max(self._wait_max_ns, now_ns - self._came_ns[count])
         self._anew = True
         ahead = self._ahead = self._settled.fork(self._hand_on_ahead)
-        for count, content in self._zones.items():
-            _read(ahead, content, count, now_ns)
+        for count, zone in self._zones.items():
+            _read(ahead, zone, count, now_ns)
         self._anew = False
 
     def _settle(self, now_ns: int) -> None:

@@ -69,7 +69,7 @@ def test_only_what_a_lost_frame_touches_waits():
     assert [slot - begun for slot, _ in link.came["voice"]] == [7]
     ((slot, data),) = link.came["video"]
     assert data == link.sent["video"][0] and slot - begun < 20
-    assert link.receiver.report().repair.zones == 1
+    assert link.receiver.report().repaired.zones == 1
 
 
 @pytest.mark.parametrize("reserve", [False, True])
@@ -98,7 +98,7 @@ def test_no_history_brings_a_wrong_packet(profile, reserve):
             order = [places[data] for _, data in link.came[name]]
             assert len(set(order)) == len(order), name
             assert name == "voice" or order == sorted(order), name
-        restored += link.receiver.report().repair.packets
+        restored += link.receiver.report().repaired.packets
     assert restored > 0
 
 
@@ -113,4 +113,4 @@ def test_without_repair_frames_are_as_before():
             link.frames.append(link.sender.poll_transmit(link.slot))
             link.slot += 1
     assert plain.frames == repairing.frames
-    assert "repair" not in plain.sender.octets() and plain.receiver.report().repair is None
+    assert "repair" not in plain.sender.octets() and plain.receiver.report().repaired is None
