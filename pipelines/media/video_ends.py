@@ -106,13 +106,14 @@ class VideoSendEnd(Generic[PictureT]):
         self, picture: PictureT, stamp: CaptureStamp, now_ns: int, *, skipped: int = 0
     ) -> None:
         """The newest picture. skipped: those before it that the caller left out."""
-        self.drop()
         self._new = False
         self._skipped += skipped
-        if self._linked.left_out.leaves_out(stamp.capture_ns):
+        # One that still waits is left out by this one.
+        if self._linked.left_out.leaves_out(stamp.capture_ns) and self._waiting is None:
             self._skipped += 1
             self._release(picture)
             return
+        self.drop()
         self._waiting = picture, stamp
         self._sender.handle_picture(stamp, now_ns, skipped=self._skipped)
         self._skipped = 0

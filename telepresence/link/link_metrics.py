@@ -54,8 +54,8 @@ class RepairSentMetrics:
     leave_out: Newest[int]
     #: The share of frames that the other end lost in the last two seconds.
     lost: float
-    #: The share that it did not restore.
-    unrestored: float
+    #: The packets that this cost there, as a share of the frames.
+    torn: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -70,5 +70,5 @@ class EndRepair:
             why=why,
             leave_out=self._reserve.leave_out,
             lost=self._reported.lost / PARTS,
-            unrestored=self._reported.unrestored / PARTS,
+            torn=self._reported.torn / PARTS,
         )

@@ -54,7 +54,7 @@ class RepairedPackets:
         self._sequences = [-1] * len(flows)
         #: Places of the packets that were handed on since a zone is lost.
         self._handed_on: set[int] = set()
-        self._late = self._packets = self._wait_max_ns = 0
+        self._late = self._packets = self._torn = self._wait_max_ns = 0
         self._anew = False
         settled.hand_on = self._hand_on
 
@@ -120,7 +120,10 @@ class RepairedPackets:
             count, content = next(iter(zones.items()))
             if content is None and count in lost:
                 return
+            before = self._settled.dropped.get("incomplete", 0)
             _read(self._settled, content, count, now_ns)
+            if content is None:
+                self._torn += self._settled.dropped.get("incomplete", 0) - before
             del zones[count], self._came_ns[count]
         self._ahead = None
         self._handed_on.clear()
@@ -156,9 +159,9 @@ class RepairedPackets:
 
     @property
     def losses(self) -> tuple[int, int]:
-        """Zones lost, but for gaps as long as the window; and those given up."""
+        """Zones lost, but for gaps as long as the window; and packets torn by zones given up."""
         decoder = self._decoder
-        return decoder.restored + decoder.given_up + len(decoder.lost), decoder.given_up
+        return decoder.restored + decoder.given_up + len(decoder.lost), self._torn
 
     def report(self) -> RepairMetrics:
         decoder = self._decoder

@@ -15,8 +15,8 @@ PARTS = 10_000
 _STEPS = (0, 6, 5, 4, 3, 2)
 #: The share of slots that repair needs: always, and for each lost frame.
 _LEAST_SHARE, _SHARE_PER_LOSS = 0.12, 3
-#: More of the lost zones must not stay lost.
-_UNRESTORED = 0.02
+#: A lost frame must not cost more packets.
+_TORN = 0.02
 #: A step is judged after this time.
 _STEP_NS = 4 * NS_PER_S
 
@@ -24,17 +24,17 @@ _STEP_NS = 4 * NS_PER_S
 class Loss(NamedTuple):
     """Frames of one direction in the last `MEASURED_NS`, as parts of `PARTS`.
 
-    lost: lost frames, but for gaps as long as the code's window. unrestored: those given up.
+    lost: lost frames, but for gaps as long as the code's window. torn: packets that they cost.
     """
 
     lost: int = 0
-    unrestored: int = 0
+    torn: int = 0
 
     @classmethod
-    def of(cls, frames: int, lost: int, unrestored: int) -> "Loss":
-        """Of so many frames received, lost and given up; a loss is never rounded to none."""
+    def of(cls, frames: int, lost: int, torn: int) -> "Loss":
+        """Of frames received, frames lost, packets torn. A loss is never rounded to none."""
         every = max(1, frames + lost)
-        return cls(*(min(PARTS, -(-PARTS * count // every)) for count in (lost, unrestored)))
+        return cls(*(min(PARTS, -(-PARTS * count // every)) for count in (lost, torn)))
 
 
 class Recent:
@@ -79,7 +79,7 @@ class Reserve:
             self.active, self._stepped_ns = True, now_ns - _STEP_NS
         since_ns = now_ns - self._stepped_ns
         needed = _LEAST_SHARE + _SHARE_PER_LOSS * loss.lost / PARTS
-        short = idle_share < needed or loss.unrestored > _UNRESTORED * loss.lost
+        short = idle_share < needed or loss.torn > _TORN * loss.lost
         if loss.lost and short and since_ns >= _STEP_NS:
             self._step, self._stepped_ns = min(self._step + 1, len(_STEPS) - 1), now_ns
         elif since_ns >= HELD_NS:
