@@ -50,6 +50,10 @@ class RepairSentMetrics:
     mode: str
     #: The reason for it.
     why: str
+    #: Repair zones kept behind each voice packet.
+    after_voice: Newest[int]
+    #: Repair zones kept behind each picture.
+    after_picture: Newest[int]
     #: One picture of so many is left out; 0: none.
     leave_out: Newest[int]
     #: The share of frames that the other end lost in the last two seconds.

@@ -22,14 +22,12 @@ from telepresence.link.link_metrics import RepairSentMetrics, SenderMetrics
 from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
 from telepresence.link.repair.encoder import RepairEncoder
+from telepresence.link.repair.reserve import NOTHING
 from telepresence.tmtc.pus.head import is_packet
 
 #: Largest number of packets of which a slot sends a part. It bounds the work of a slot at both
 #: ends; packets of six octets or more fill the largest zone with fewer.
 MOST_PIECES = 64
-#: A reserved repair zone comes so many slots after the end of a voice packet.
-RESERVED_SLOTS = 2
-_NEVER = 1 << 62
 
 
 @dataclass(slots=True)
@@ -41,6 +39,8 @@ class _InFlight:
     header_octets: int
     level: int
     kind: str
+    #: It is the last of a picture.
+    marker: bool
     offset: int = 0
 
 
@@ -55,7 +55,7 @@ class LinkSender:
     first_count: frame count of the first frame.
 
     repair: fills idle zones; None: they stay idle.
-    reserve: whether a slot is kept for repair behind each voice packet.
+    reserve: the slots that are kept for repair.
     """
 
     def __init__(
@@ -107,8 +107,9 @@ class LinkSender:
         self._repair_octets = 0
         #: Only the next zone's pointer tells that the packet in flight ended with the last zone.
         self._end_untold = False
-        self.reserve = False
-        self._reserved_count = _NEVER
+        self.reserve = NOTHING
+        #: Repair zones that the reserve still asks for.
+        self._owed = 0
 
     def set_repair(self, on: bool) -> None:
         """Whether idle slots carry repair zones, where the profile has repair."""
@@ -205,7 +206,7 @@ class LinkSender:
             self._idle += size - SUPERVISION_OCTETS
             content = self._pointers.supervision, supervision.ljust(size, b"\0")
         elif not self._nothing_queued:
-            if repair is not None and count >= self._reserved_count and self._may_reserve():
+            if repair is not None and self._owed and self._may_reserve():
                 repaired = repair.repair(count, plain=sample is None, reserved=True)
             if repaired is None:
                 self._end_untold = False
@@ -217,7 +218,7 @@ class LinkSender:
             elif repaired is None and not untold:
                 repaired = repair.repair(count, plain=sample is None)
             if repaired is not None:
-                self._reserved_count = _NEVER
+                self._owed = max(0, self._owed - 1)
                 self._repair_octets += size
                 return self._codec.pack(count, sample, *repaired)
         if content is not None:
@@ -321,8 +322,10 @@ class LinkSender:
     def _finish(self, packet: _InFlight, now_ns: int) -> None:
         """The packet's last piece is in this slot."""
         self._queues[packet.level].finish(now_ns)
-        if self.reserve and packet.level == Level.VOICE:
-            self._reserved_count = self._count + RESERVED_SLOTS
+        if packet.kind == "voice":
+            self._owed = max(self._owed, self.reserve.after_voice)
+        elif packet.marker:
+            self._owed = max(self._owed, self.reserve.after_picture)
 
     def _piece(self, packet: _InFlight, octets: int) -> bytes:
         """Return the next `octets` of the packet, and count them by what they carry."""
@@ -362,7 +365,8 @@ class LinkSender:
         else:
             kind, body, header_octets = compressor.compress(data, self._count)
         tag = kind << KIND_SHIFT | number
-        return _InFlight(tag, body, header_octets, level, self._kinds[number])
+        marker = compressor is not None and level == Level.VIDEO and data[1] >= 0x80
+        return _InFlight(tag, body, header_octets, level, self._kinds[number], marker)
 
     @property
     def idle_octets(self) -> int:

@@ -22,7 +22,7 @@ class EndRepair:
     @property
     def leave_out(self) -> int:
         """One picture of so many is to be left out; 0: none."""
-        return self._reserve.leave_out
+        return self._reserve.kept.leave_out
 
     def set(self, on: bool) -> None:
         """Whether both ends have repair."""
@@ -53,7 +53,7 @@ class EndRepair:
 
     def _use(self, reserve: Reserve) -> None:
         self._reserve = reserve
-        self._sender.reserve = reserve.active
+        self._sender.reserve = reserve.kept
 
     def report(self) -> RepairSentMetrics | None:
         """Return what this end sends for repair, and why; None where the setup has no repair."""
@@ -68,7 +68,7 @@ class EndRepair:
         return RepairSentMetrics(
             mode=mode,
             why=why,
-            leave_out=self._reserve.leave_out,
+            **self._reserve.kept._asdict(),
             lost=self._reported.lost / PARTS,
             torn=self._reported.torn / PARTS,
         )

@@ -1,5 +1,6 @@
 """How much room a sender keeps for repair, from the losses that the other end reports. A core."""
 
+from bisect import bisect_right
 from collections import deque
 from typing import NamedTuple
 
@@ -11,14 +12,29 @@ MEASURED_NS = 2 * NS_PER_S
 HELD_NS = 30 * NS_PER_S
 #: Parts of the whole in which losses are told.
 PARTS = 10_000
-#: One picture of so many is left out, from the least to the most.
-_STEPS = (0, 6, 5, 4, 3, 2)
-#: The share of slots that repair needs: always, and for each lost frame.
-_LEAST_SHARE, _SHARE_PER_LOSS = 0.12, 3
-#: A lost frame must not cost more packets.
-_TORN = 0.02
-#: A step is judged after this time.
-_STEP_NS = 4 * NS_PER_S
+
+
+class Kept(NamedTuple):
+    """What is kept: repair zones behind each voice packet and each picture, and their room.
+
+    leave_out: one picture of so many is left out; 0: none.
+    """
+
+    after_voice: int = 0
+    after_picture: int = 0
+    leave_out: int = 0
+
+
+NOTHING = Kept()
+_LEVELS = (Kept(1), Kept(1, 1, 6), Kept(1, 2, 5), Kept(2, 4, 4), Kept(2, 8, 3))
+#: From this loss on, the level behind the first.
+_FROM = (40, 180, 350)
+#: If lost frames cost more packets than this share of them, the next level.
+_TORN = 0.05
+#: A level is left for a lower one after this time.
+_FALLS_NS = 10 * NS_PER_S
+#: Where this share of the slots is idle, no picture is left out.
+_IDLE_ENOUGH = 0.6
 
 
 class Loss(NamedTuple):
@@ -53,34 +69,27 @@ class Recent:
 
 
 class Reserve:
-    """Decides what one direction keeps free for repair.
-
-    active: a slot is kept behind each voice packet. leave_out: one picture of so many is left out;
-    0: none.
-    """
+    """Decides what one direction keeps free for repair: `kept`; `active` unless nothing."""
 
     def __init__(self) -> None:
         self.active = False
-        self._step = 0
-        self._loss_ns = self._stepped_ns = 0
-
-    @property
-    def leave_out(self) -> int:
-        return _STEPS[self._step]
+        self.kept = NOTHING
+        self._level = 0
+        self._loss_ns = self._needed_ns = 0
 
     def handle_loss(self, loss: Loss, idle_share: float, now_ns: int) -> None:
         """The other end reports a loss. idle_share: of this end's slots, repair zones included."""
         if loss.lost:
             self._loss_ns = now_ns
         elif not self.active or now_ns - self._loss_ns >= HELD_NS:
-            self.active, self._step = False, 0
+            self.active, self.kept, self._level = False, NOTHING, 0
             return
-        if not self.active:
-            self.active, self._stepped_ns = True, now_ns - _STEP_NS
-        since_ns = now_ns - self._stepped_ns
-        needed = _LEAST_SHARE + _SHARE_PER_LOSS * loss.lost / PARTS
-        short = idle_share < needed or loss.torn > _TORN * loss.lost
-        if loss.lost and short and since_ns >= _STEP_NS:
-            self._step, self._stepped_ns = min(self._step + 1, len(_STEPS) - 1), now_ns
-        elif since_ns >= HELD_NS:
-            self._step, self._stepped_ns = max(self._step - 1, 0), now_ns
+        self.active = True
+        needed = bisect_right(_FROM, loss.lost) + (loss.torn > _TORN * loss.lost)
+        if needed >= self._level:
+            self._level, self._needed_ns = needed, now_ns
+        elif now_ns - self._needed_ns >= _FALLS_NS:
+            self._level, self._needed_ns = self._level - 1, now_ns
+        self.kept = _LEVELS[self._level]
+        if idle_share >= _IDLE_ENOUGH:
+            self.kept = self.kept._replace(leave_out=0)

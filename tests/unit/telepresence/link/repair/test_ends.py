@@ -91,7 +91,7 @@ def test_reported_losses_turn_the_reserve_on_and_thirty_seconds_without_end_it()
     assert run(link, 3)[0].transmit.repair_sent.mode == "idle"
     link.ground.radio.share = 0.02
     ground, space = run(link, 3)
-    assert ground.transmit.repair_sent.mode == "reserve" and link.ground.sender.reserve
+    assert ground.transmit.repair_sent.mode == "reserve" and link.ground.sender.reserve.after_voice
     assert ground.transmit.repair_sent.lost == pytest.approx(0.02, abs=0.01)
     assert space.transmit.repair_sent.mode == "idle" and space.receive.repaired.zones > 0
     link.ground.radio.share = 0.0

@@ -12,6 +12,7 @@ from telepresence.link.flows import Level, PacketReceived, packet_flow, video_fl
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.repair.codes import WINDOW
+from telepresence.link.repair.reserve import NOTHING, Kept
 from telepresence.link.sender import LinkSender
 
 MS = 1_000_000
@@ -72,7 +73,7 @@ def test_only_what_a_lost_frame_touches_waits():
     assert link.receiver.report().repaired.zones == 1
 
 
-@pytest.mark.parametrize("reserve", [False, True])
+@pytest.mark.parametrize("reserve", [NOTHING, Kept(2, 4, 4)])
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
 def test_no_history_brings_a_wrong_packet(profile, reserve):
     random = Random(first_seed(11))

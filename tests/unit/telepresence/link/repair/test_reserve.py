@@ -5,22 +5,28 @@ from telepresence.link.repair.reserve import Loss, Recent, Reserve
 S = 1_000_000_000
 
 
-def steps(losses, idle=0.1):
+def kept(losses, idle=0.1):
     reserve, seen = Reserve(), []
     for second, loss in enumerate(losses):
         reserve.handle_loss(loss, idle, second * S)
-        seen.append(reserve.leave_out if reserve.active else None)
+        seen.append(tuple(reserve.kept) if reserve.active else None)
     return seen
 
 
 def test_the_reserve_follows_the_losses():
-    assert steps([Loss()] * 5) == [None] * 5
-    # Where idle slots are enough, no picture is left out; with what stays lost, more and more.
-    assert steps([Loss(100)] * 40, idle=0.8) == [0] * 40
-    assert steps([Loss(100, 50)] * 9, idle=0.8) == [6] * 4 + [5] * 4 + [4]
-    # Half a minute without a loss ends it.
-    assert steps([Loss(100)] + [Loss()] * 31)[-3:] == [6, None, None]
-    assert steps([Loss(1)] + [Loss()] * 20 + [Loss(1)] + [Loss()] * 29)[-1] is not None
+    assert kept([Loss()] * 5) == [None] * 5
+    assert kept([Loss(20), Loss(100), Loss(500)]) == [(1, 0, 0), (1, 1, 6), (2, 4, 4)]
+    # Packets that are lost nevertheless ask for more; where most slots are idle, no picture goes.
+    assert kept([Loss(100, 20)]) == [(1, 2, 5)] and kept([Loss(100)], idle=0.8) == [(1, 1, 0)]
+    # It falls slowly, and half a minute without a loss ends it.
+    fallen = kept([Loss(500)] + [Loss(20)] * 31)
+    assert [fallen[second] for second in (9, 10, 20, 30)] == [
+        (2, 4, 4),
+        (1, 2, 5),
+        (1, 1, 6),
+        (1, 0, 0),
+    ]
+    assert kept([Loss(20)] + [Loss()] * 31)[29:] == [(1, 0, 0), None, None]
 
 
 def test_a_loss_is_measured_over_two_seconds_and_never_rounded_to_none():
