@@ -83,6 +83,8 @@ def direction_lines(direction: str, link: model.DirectionReport) -> Iterator[str
     if receiver.packets:
         came = ", ".join(f"{name} {count}" for name, count in receiver.packets.items() if count)
         frames = f"{receiver.frames_lost} frames lost"
+        if receiver.repaired is not None:
+            frames += f", {receiver.repaired.zones} of them restored"
         yield f"{direction} received: {frames}; packets {came or 'none'}"
         dropped = {**receiver.frames_dropped, **receiver.packets_dropped}
         if dropped:

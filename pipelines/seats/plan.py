@@ -26,6 +26,7 @@ from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topic import AnyTopic, Topic
+from pipelines.session.topology.rows import Kind
 from pipelines.session.topology.streams import partner_camera, partner_voice
 from pipelines.session.topology.table import Topology
 from pipelines.session.topology.topics import (
