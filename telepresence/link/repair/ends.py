@@ -2,7 +2,7 @@
 
 from telepresence.link.link_metrics import RepairSentMetrics
 from telepresence.link.receiver import LinkReceiver
-from telepresence.link.repair.reserve import PARTS, Loss, Recent, Reserve
+from telepresence.link.repair.reserve import PARTS, Growth, Loss, Reserve
 from telepresence.link.sender import LinkSender
 
 
@@ -15,7 +15,7 @@ class EndRepair:
     def __init__(self, sender: LinkSender, receiver: LinkReceiver) -> None:
         self._sender, self._receiver = sender, receiver
         self._reserve = Reserve()
-        self._received, self._sent = Recent(), Recent()
+        self._received, self._sent = Growth(), Growth()
         self._reported = Loss()
         self.on = True
 
@@ -38,7 +38,7 @@ class EndRepair:
         if repair is None:
             return Loss()
         frames = self._receiver.frames_received
-        return Loss.of(*self._received.growth(now_ns, frames, *repair.losses))
+        return Loss.of(*self._received.since(now_ns, frames, *repair.losses))
 
     def handle_loss(self, loss: Loss | None, now_ns: int) -> None:
         """The peer reports what of this end's frames is lost; None: it says nothing."""
@@ -46,7 +46,7 @@ class EndRepair:
         if loss is None or sender.repair is None or sender.profile.repair != "auto":
             return
         self._reported = loss
-        octets, frames = self._sent.growth(now_ns, sender.idle_octets, sender.frames_sent)
+        octets, frames = self._sent.since(now_ns, sender.idle_octets, sender.frames_sent)
         idle_share = octets / max(1, frames * sender.profile.packet_zone_octets)
         self._reserve.handle_loss(loss, idle_share, now_ns)
         self._use(self._reserve)
