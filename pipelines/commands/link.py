@@ -19,7 +19,7 @@ from pipelines.session.command_process import say
 from pipelines.session.launcher import Launcher
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_session_options, asked_setup, stream_options
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 

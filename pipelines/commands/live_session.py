@@ -18,7 +18,7 @@ from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.kept_files import KeptOrders, NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
 from pipelines.session.options import StreamOptions
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 from pipelines.upkeep.requests import status_teller
 from telepresence.upkeep.version_stack import status_of
 

@@ -32,9 +32,10 @@ from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_grouped_options
 from pipelines.session.recording_requests import write_request
 from pipelines.session.sessions import clear_dead_sessions, hold_session
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
 from pipelines.session.site_file import SiteOptions, blamed, site_options
-from pipelines.session.topology import RECORDER, Segment
+from pipelines.session.topology.topics import RECORDER
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -42,15 +42,14 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.requests import RequestServer
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import (
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
+from pipelines.session.topology.topics import (
     SELECTOR,
-    TELECOMMAND,
     TELECOMMAND_KIND,
-    TELEMETRY,
     TELEMETRY_KIND,
     WALL_TOPIC,
-    Segment,
     component_process,
     packet_topics,
 )

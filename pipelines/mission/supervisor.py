@@ -17,7 +17,9 @@ from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, RaiseEv
 from pipelines.mission.tmtc_messages import Values as TmtcValues
 from pipelines.session.session_metrics import LEFT_OUT_SHARE, LoopMetrics, ProcessNow
 from pipelines.session.session_switch import ProcessOrder
-from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Segment, Topology
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import LOOP_PRIORITY, ProcessRow
+from pipelines.session.topology.table import Topology
 from telepresence.tmtc.pus.dictionary import (
     Application,
     Dictionary,

@@ -9,7 +9,8 @@ from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import RobotCommand
 from pipelines.session.session_metrics import ProcessNow
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.table import Topology
 from telepresence.tmtc.pus.dictionary import Dictionary
 
 #: What joystick or robot is asked for.

@@ -32,18 +32,17 @@ from pipelines.recording.recorded_messages import (
 )
 from pipelines.recording.schemas import MessageSchema, descriptor_set
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, MISSION_LEDS_TOPIC
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import Kind, VideoRow
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     RTC_CAMERA,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
     RTC_VOICE,
-    Kind,
-    Segment,
-    Topology,
-    VideoRow,
     packet_topics,
 )
 

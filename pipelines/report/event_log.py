@@ -17,8 +17,9 @@ from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
 from pipelines.report.warnings import TOO_BUSY
 from pipelines.session.session_metrics import DatedEvent, Event, ProcessNow, TrainerMetrics
 from pipelines.session.session_switch import Activity, SessionSwitch
+from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import KEPT, OPEN
-from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
+from pipelines.session.topology.topics import TASKS, TRAINER, component_process
 from telepresence.haptics.authority import AuthorityEvent, AuthorityMetrics
 from telepresence.haptics.envelope import SafetyMetrics
 from telepresence.haptics.haptic_metrics import JoystickMetrics, RobotMetrics

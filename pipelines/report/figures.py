@@ -30,14 +30,14 @@ from pipelines.report.sync_metrics import LIMITS
 from pipelines.report.upkeep_now import UpkeepNow
 from pipelines.seats.page_metrics import HOLDER, PageMetrics
 from pipelines.session.session_metrics import Figure
-from pipelines.session.topology import (
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import (
     PAGES,
     RECORDER,
     RTC,
     RTC_CAMERA,
     RTC_DISPLAY,
     RTC_VOICE,
-    Segment,
 )
 
 #: The tables of the report whose figures are told.

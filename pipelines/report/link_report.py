@@ -15,7 +15,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.sections import cpu_report, process_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
 from pipelines.session.session_metrics import LoopMetrics, ProcessNow
-from pipelines.session.topology import Direction, Segment
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.verdict import process_failures
 from telepresence.link.link_metrics import (
     PeerMetrics,
@@ -83,6 +83,8 @@ def direction_lines(direction: str, link: model.DirectionReport) -> Iterator[str
     if receiver.packets:
         came = ", ".join(f"{name} {count}" for name, count in receiver.packets.items() if count)
         frames = f"{receiver.frames_lost} frames lost"
+        if receiver.repaired is not None:
+            frames += f", {receiver.repaired.zones} of them restored"
         yield f"{direction} received: {frames}; packets {came or 'none'}"
         dropped = {**receiver.frames_dropped, **receiver.packets_dropped}
         if dropped:

@@ -23,7 +23,7 @@ from pipelines.report.silence import NO_PAGE
 from pipelines.report.summary import LIVE_COLUMNS, NO_SAMPLE, kbps, silence_line, streams_table
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.session_switch import Activity
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 
 #: The keys of the ledger whose rates stand in a line of the link.
 _LEVELS = ("haptic", "tmtc", "voice", "video", "maintenance")

@@ -12,7 +12,7 @@ from kontur_av.clock import NS_PER_S
 from pipelines.report.exposition import Exposition
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
-from pipelines.session.topology import METRICS
+from pipelines.session.topology.topics import METRICS
 from pipelines.session.web_site import SHUTDOWN_S, ConnectionGate, quiet_log
 
 #: The launcher tells the figures once a second.

@@ -22,7 +22,7 @@ from pipelines.report.collector import Collector
 from pipelines.report.silence import Silence
 from pipelines.session.session_metrics import DatedEvent, ProcessNow, TrainerMetrics
 from pipelines.session.task_journal import TaskRow
-from pipelines.session.topology import (
+from pipelines.session.topology.topics import (
     RECORDER,
     RTC,
     RTC_CAMERA,

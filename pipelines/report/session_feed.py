@@ -18,7 +18,7 @@ from pipelines.session.launcher import Child, Launcher, launcher_cpu_s
 from pipelines.session.session_metrics import LoopMetrics, ProcessNow, SessionNews
 from pipelines.session.session_switch import Activity
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import CONSOLE, FOXGLOVE, METRICS, RECORDER, ROS2, SELECTOR
+from pipelines.session.topology.topics import CONSOLE, FOXGLOVE, METRICS, RECORDER, ROS2, SELECTOR
 
 #: Ends that meet again may take so long.
 TIMEOUT_NS = 10 * NS_PER_S

@@ -23,7 +23,8 @@ from pipelines.report.warnings import find_warnings
 from pipelines.session.session_metrics import LoopMetrics, ProbeMetrics, ProcessNow
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology import FOXGLOVE, JOYSTICK, ROBOT, HapticRow
+from pipelines.session.topology.rows import HapticRow
+from pipelines.session.topology.topics import FOXGLOVE, JOYSTICK, ROBOT
 from pipelines.session.verdict import process_failures
 from telepresence.haptics.authority import AuthorityMetrics
 from telepresence.haptics.envelope import SafetyMetrics

@@ -9,8 +9,8 @@ from kontur_av.streams.staleness import State
 from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics
 from pipelines.report.collector import Collector
 from pipelines.session.probe import FLUSH_NS
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VOICE_PACKETS_PER_S, Setup, VideoStream, VoiceStream
-from pipelines.session.topology import Segment
 
 #: A picture or a sound is missed if it does not come for this long and this many periods.
 MISSED_NS = 2 * NS_PER_S

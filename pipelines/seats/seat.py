@@ -191,7 +191,6 @@ class Seat:
         if self._session is not None:
             joined = replace(self._session, events=tuple(self._happened))
             page.queue.put_metrics(texts.pack_text(joined))
-        self.media.replay(page)
         return number
 
     def _free_name(self, role: Role) -> str:
@@ -205,7 +204,7 @@ class Seat:
         """A page is gone; its hand lets go at once."""
         self._left_out += self._pages.pop(number).queue.units_left_out
         self._hand.handle_gone(number)
-        self._settle_hand(now_ns)
+        self._settle(now_ns)
 
     def handle_media_opened(self, role: Role) -> int:
         """The socket of a page's own camera or microphone was opened; return its number."""
@@ -225,10 +224,6 @@ class Seat:
         """Return the next message for a page, or None. Call it when the page can take one."""
         page = self._pages[number]
         message = page.queue.pop()
-        if message is None:
-            # It has taken all, so it can take a replay of what was left out.
-            self.media.replay(page)
-            message = page.queue.pop()
         page.idle = message is None
         return message
 
@@ -259,9 +254,7 @@ class Seat:
         error = self._handle_request(page, request, now_ns)
         if error is not None:
             self._answer(texts.Answered(number, request.request, error))
-        self._settle_hand(now_ns)
-        self._settle_service(now_ns)
-        self._settle_mission(now_ns)
+        self._settle(now_ns)
 
     def _handle_request(
         self, page: OpenPage, request: texts.SeatRequest, now_ns: int
@@ -328,7 +321,7 @@ class Seat:
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._service.handle_status(status)
-        self._settle_service(now_ns)
+        self._settle(now_ns)
         if told != self._joystick:
             self._joystick = told
             self._publish_state(now_ns)
@@ -342,7 +335,7 @@ class Seat:
 
     def handle_news(self, news: TmtcNews, now_ns: int) -> None:
         self.mission.handle_news(news, now_ns)
-        self._settle_mission(now_ns)
+        self._settle(now_ns)
 
     def handle_shown(self, kind: str, shown: Shown) -> None:
         """What a process of the mission shows; pages get it with the next heartbeat."""
@@ -389,8 +382,7 @@ class Seat:
     def handle_time(self, now_ns: int) -> None:
         """Send the heartbeat if it is due."""
         self._service.handle_timeout(now_ns)
-        self._settle_service(now_ns)
-        self._settle_mission(now_ns)
+        self._settle(now_ns)
         if now_ns >= self._due_ns:
             self._publish_state(now_ns)
             self._publish_mission()
@@ -429,33 +421,28 @@ class Seat:
             )
         )
 
-    def _settle_hand(self, now_ns: int) -> None:
-        """The holder may have changed: the hand before lets go, and all pages are told."""
-        released = self._gate.poll_release(now_ns)
-        if released is not None:
-            self._events.append(released)
-        if self._hand.next_event() is not None:
-            self._publish_state(now_ns)
-
     def _publish_mission(self) -> None:
         for kind, text in self.mission.poll_texts().items():
             for page in self._pages.values():
                 page.queue.put_newest(kind, text)
 
-    def _settle_mission(self, now_ns: int) -> None:
+    def _settle(self, now_ns: int) -> None:
+        """Pass on what hand, joystick and mission have to say after an input."""
+        released = self._gate.poll_release(now_ns)
+        if released is not None:
+            self._events.append(released)
+        if self._hand.next_event() is not None:
+            self._publish_state(now_ns)
+        while (answered := self._service.next_event()) is not None:
+            self._answer(answered)
+        if (command := self._service.poll_transmit(now_ns)) is not None:
+            self._events.append(command)
         while (request := self.mission.poll_transmit(now_ns)) is not None:
             self._events.append(request)
         while (answered := self.mission.next_event()) is not None:
             self._answer(answered)
             if answered.camera:
                 self.handle_camera(answered.camera, now_ns)
-
-    def _settle_service(self, now_ns: int) -> None:
-        while (answered := self._service.next_event()) is not None:
-            self._answer(answered)
-        command = self._service.poll_transmit(now_ns)
-        if command is not None:
-            self._events.append(command)
 
     def _answer(self, answered: texts.Answered) -> None:
         number, request, error, round_trip_ms, _ = answered

@@ -32,7 +32,9 @@ from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import Collections, Context, become
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import RECORDER, WATCHER_PRIORITY, ProcessRow, Topology
+from pipelines.session.topology.rows import WATCHER_PRIORITY, ProcessRow
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import RECORDER
 from pipelines.session.verdict import ObservedTime, ProcessHealth
 
 #: How often the session is shown, on the terminal and to the processes that follow it.

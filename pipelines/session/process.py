@@ -23,13 +23,13 @@ from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import SessionNews
 from pipelines.session.session_switch import Order, ProcessOrder
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import (
     LOOP_PRIORITY,
     PICTURE_PRIORITY,
     WATCHER_PRIORITY,
     ProcessRow,
-    Topology,
 )
+from pipelines.session.topology.table import Topology
 
 if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus

@@ -33,14 +33,8 @@ from pipelines.session.process import wait_ns
 from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import LinkMeanwhile
-from pipelines.session.topology import (
-    FILES,
-    PANEL,
-    TASKS,
-    TELECOMMAND,
-    TELEMETRY,
-    maintenance_stream,
-)
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY, maintenance_stream
+from pipelines.session.topology.topics import FILES, PANEL, TASKS
 from pipelines.virtual.streams import Consumer
 from pipelines.virtual.workers import Scene, Timer
 from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer

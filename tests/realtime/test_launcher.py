@@ -19,7 +19,8 @@ from pipelines.session.session_metrics import SessionNews
 from pipelines.session.session_switch import Activity, Order
 from pipelines.report.collector import Collector
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import ProcessRow, Segment, Stage
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import ProcessRow, Stage
 from pipelines.table import topology_of
 
 def good(context, until=lambda: False):

@@ -16,9 +16,9 @@ from pipelines.report.model import EndTrace, SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
 from pipelines.session.probe import Message, Series
 from pipelines.session.session_metrics import INSTANTS, ClockRow
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from pipelines.virtual.simulate import simulate
 

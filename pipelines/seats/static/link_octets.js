@@ -21,7 +21,7 @@ class Direction {
   #sharp = new SharpCanvas(() => this.#draw());
   #top = make("span", { class: "strip-top" });
   #capacity = make("span", { class: "quiet small" });
-  /** The cells of the table by row: layers, their sum, idle fill. */
+  /** The cells of the table by row: layers, their sum, idle fill and repair. */
   cells = [...LAYERS, "sum", "idle"].map(() => make("td"));
 
   /** @param {string} name */
@@ -115,7 +115,7 @@ function legend(directions) {
   // From top to bottom as in the stack, so that rows find their layers without colour.
   for (let layer = LAYERS.length - 1; layer >= 0; layer -= 1) row(LAYERS[layer].name, layer, String(layer));
   row("all of these", LAYERS.length, "none");
-  row("idle fill", LAYERS.length + 1, "none");
+  row("idle fill, repair", LAYERS.length + 1, "none");
   const heads = directions.map(({ name }) => make("th", { scope: "col" }, name));
   return make("table", { class: "octets-legend" }, make("thead", {}, make("tr", {}, make("td"), ...heads)), body);
 }

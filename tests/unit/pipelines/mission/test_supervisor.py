@@ -11,7 +11,7 @@ from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.session_switch import ProcessOrder
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import SessionOptions
+from pipelines.session.topology.table import SessionOptions
 from pipelines.table import topology_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.xtce import dictionary_xtce

@@ -16,8 +16,8 @@ from pipelines.report.live import LinkLines
 from pipelines.report.model import LinkReport, from_json, to_json
 from pipelines.report.summary import print_summary
 from pipelines.session.session_metrics import LoopMetrics
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Direction, Segment
 from pipelines.table import topology_of
 from telepresence.link.gateway import Gateway
 

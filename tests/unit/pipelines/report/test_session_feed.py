@@ -13,7 +13,7 @@ from pipelines.seats.page_metrics import PageMetrics
 from pipelines.session.session_metrics import LoopMetrics, ProcessNow, SessionNews
 from pipelines.session.session_switch import Order, RestartPolicy, SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import METRICS, RECORDER
+from pipelines.session.topology.topics import METRICS, RECORDER
 from pipelines.session.verdict import ObservedTime, ProcessHealth
 from pipelines.table import topology_of
 

@@ -18,8 +18,8 @@ from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import never_met, signal_ns, silences
 from pipelines.report.summary import first_line
 from pipelines.session.session_metrics import OutRow, ProbeMetrics, ShownRow
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Direction, Segment
 from pipelines.table import topology_of
 from telepresence.haptics.haptic_metrics import SamplesReceived, SamplesSent
 from telepresence.link.gateway import Gateway

@@ -19,8 +19,8 @@ from pipelines.report.warnings import (
     restart_warning,
 )
 from pipelines.session.session_switch import NO_ROOM, SessionSwitch
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.link.clock_exchange import ClockExchange
 from telepresence.link.peer_path import OpenPath

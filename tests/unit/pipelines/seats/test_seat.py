@@ -21,8 +21,8 @@ from pipelines.session.access import Role
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.session_metrics import Event, SessionNews
 from pipelines.session.session_switch import Order
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -87,8 +87,8 @@ class Room:
     def events(self):
         return list(iter(self.seat.next_event, None))
 
-    def give_unit(self, number, *, key=False, damaged=False, stream=0):
-        unit = CodedUnit(data=KEY if key else DELTA, key=key, damaged=damaged, width=64, height=48)
+    def give_unit(self, number, *, key=False, stream=0, **fields):
+        unit = CodedUnit(data=KEY if key else DELTA, key=key, width=64, height=48, **fields)
         stamp = CaptureStamp(number * NS_PER_MS, number, "uplink_video", rtp_timestamp=number)
         self.seat.media.handle_unit(stream, unit, stamp, number)
 
@@ -127,15 +127,22 @@ def test_a_page_is_told_first_where_it_is_and_what_it_sees(space, ground):
     assert [each["name"] for each in hello["inputs"]] == ["ground_mic"]
 
 
-def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest(space, ground):
+def test_who_joins_is_sent_a_key_picture_and_the_units_since_and_draws_only_the_newest(
+    space, ground
+):
     for number in range(4):
         space.give_unit(number, key=number == 0)
+    assert space.seat.media.poll_asks(0) == []
     page = space.open(Role.VIEWER)
-    assert page.units() == [(5, 0), (4, 1), (4, 2), (0, 3)]
-    space.give_unit(4, damaged=True)
-    assert page.units() == [(2, 4)]
-    space.give_unit(5, key=True)
-    assert page.units() == [(1, 5)]
+    assert space.seat.media.poll_asks(0) == space.seat.media.lanes
+    space.give_unit(4)
+    assert page.units() == []
+    space.give_unit(3, key=True, added=True)
+    assert page.units() == [(5, 3), (0, 4)]
+    space.give_unit(5, damaged=True)
+    assert page.units() == [(2, 5)]
+    space.give_unit(6, key=True)
+    assert page.units() == [(1, 6)]
 
     # Every page gets sound, haptics and previews.
     pages = [ground.open(Role.VIEWER, unread=False) for _ in range(2)]
@@ -148,49 +155,28 @@ def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest(spa
 
 
 @pytest.mark.rule("4")
-def test_a_page_that_stalls_is_sent_a_replay_when_it_takes_again(space):
-    space.give_unit(0, key=True)
+def test_a_page_that_stalls_begins_with_a_key_picture_when_it_takes_again(space):
     slow, quick = (space.open(Role.VIEWER, unread=False) for _ in range(2))
+    space.give_unit(0, key=True)
+    assert quick.units() == [(1, 0)]
     for number in range(1, 61):
         space.give_unit(number)
         if number == 1:
             # It takes a message, and then no other.
-            assert units_of(space.seat.poll_transmit(slow.number)) == (0, 1)
+            assert units_of(space.seat.poll_transmit(slow.number)) == (1, 0)
         assert quick.units() == [(0, number)]
-    assert slow.units() == [(5, 0), *((4, number) for number in range(1, 60)), (0, 60)]
-    assert space.seat.left_out == 59
-    space.give_unit(61)
-    assert slow.units() == [(0, 61)]
-
-
-def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits(space, ground):
     media = space.seat.media
-    space.give_unit(0, key=True)
-    space.give_unit(5)
-    assert media.wanted_pictures() == []
-    page = space.open(Role.VIEWER)
-    assert page.units() == []
-    assert media.wanted_pictures() == [0]
-    assert not media.handle_decoded(0, KEY, 4)
-    space.give_unit(6)
-    assert media.handle_decoded(0, KEY, 5)
-    assert media.wanted_pictures() == []
-    assert page.units() == [(5, 5), (0, 6)]
-
-    # So is what the selected camera films.
-    seat, media = ground.seat, ground.seat.media
-    (stream,) = [each.index for each in seat.plan.streams if each.filmed_topics]
-    ground.give_unit(0, key=True, stream=stream)
-    ground.give_unit(5, stream=stream)
-    seat.handle_camera("static", 0)
-    assert media.wanted_filmed(seat.camera) == {}
-    page = ground.open(Role.VIEWER)
-    assert media.wanted_filmed(seat.camera) == {stream: TOPOLOGY.camera("static").topic}
-    assert not media.handle_filmed(stream, KEY, 4)
-    assert media.handle_filmed(stream, KEY, 5)
-    assert media.wanted_filmed(seat.camera) == {}
-    ground.give_unit(6, stream=stream)
-    assert page.units()[-1] == (0, 6)
+    assert 0 not in media.poll_asks(0)
+    assert slow.units() == []
+    assert 0 in media.poll_asks(0)
+    space.give_unit(61)
+    space.give_unit(60, key=True, added=True)
+    assert slow.units() == [(5, 60), (0, 61)] and quick.units() == [(0, 61)]
+    assert space.seat.left_out == 60
+    # The key picture itself may be the newest that there is.
+    late = space.open(Role.VIEWER, unread=False)
+    space.give_unit(61, key=True, added=True)
+    assert late.units() == [(1, 61)]
 
 
 @pytest.mark.rule("10")

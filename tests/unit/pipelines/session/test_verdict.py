@@ -9,7 +9,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.session_switch import NO_REASON
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import WATCHER_PRIORITY
+from pipelines.session.topology.rows import WATCHER_PRIORITY
 from pipelines.session.verdict import ObservedTime, ProcessHealth, process_failures
 from pipelines.table import topology_of
 
