@@ -4,6 +4,9 @@ import secrets
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from kontur_av.clock import Clock
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
@@ -62,6 +65,7 @@ class VideoOutlet:
         end.handle_time(clock.now_ns())
         while (datagram := receive(self.feedback)) is not None:
             end.handle_feedback(datagram, clock.now_ns())
+        self.sent.poll(clock.now_ns())
 
 
 class _Pictures:
@@ -98,6 +102,11 @@ class _Pictures:
         """Keep this picture until `release`."""
         self._encoded = work.picture
         return replace(work.picture.video(), stamp=work.stamp)
+
+    def encoded(self) -> NDArray[np.uint8]:
+        """The pixels of the picture that was encoded, until `release`."""
+        assert self._encoded is not None
+        return self._encoded.video().data
 
     def release(self) -> None:
         """No picture is being encoded any more."""
@@ -144,10 +153,10 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                 pictures.hand_to(end, clock)
                 outlet.work()
                 if (done := encoding.poll()) is not None:
-                    pictures.release()
                     end.handle_unit(done.unit, done.encoded_ns, clock.now_ns())
-                    if outlet.sent.handle_unit(done.unit, encoder.unit_size):
+                    if outlet.sent.handle_unit(done.unit, encoder.unit_size, pictures.encoded()):
                         end.handle_new_viewer()
+                    pictures.release()
                 number = end.poll_confirmed(clock.now_ns())
                 if confirmed is not None and number is not None:
                     confirmed.publish(number, clock.now_ns())

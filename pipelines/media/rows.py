@@ -111,7 +111,6 @@ def _receiver(session: Topology, row: MediaRow) -> ProcessRow:
         writes=(
             row.received_topic,
             row.coded_topic,
-            *((row.decoded_topic,) if isinstance(row, VideoRow) else ()),
         ),
         what="receives and decodes pictures" if video else "receives and decodes sound",
     )

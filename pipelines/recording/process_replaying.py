@@ -80,6 +80,7 @@ def run_video_replay(
     clock = context.clock
     cost_ns = _COSTS.ns("capture") + _COSTS.picture_ns("encode", stream.codec)
     script = start.script(context, units, cost_ns)
+    decoder = VideoDecoder(stream.codec, size=(stream.width, stream.height))
     with context.open_bus() as bus:
         outlet = VideoOutlet(context, bus, stream)
         end = outlet.end
@@ -94,7 +95,11 @@ def run_video_replay(
                 recorded = units[number]
                 unit = AccessUnit(recorded.data, stamp, recorded.key, recorded.codec)
                 end.handle_coded(unit, clock.now_ns())
-                outlet.sent.handle_unit(unit, stream.coded_size)
+                # Nothing is filmed, so a reader that joins begins with what is decoded here.
+                shown, size = None, stream.coded_size
+                for shown in decoder.decode(unit.data, number) if unit.codec == "h264" else ():
+                    size = shown.width, shown.height
+                outlet.sent.handle_unit(unit, size, shown)
             outlet.work()
         end.close(clock.now_ns())
         del waiter

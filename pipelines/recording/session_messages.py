@@ -4,16 +4,15 @@ The recorder writes them into a file; others show them live.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.clock import NS_PER_MS, NS_PER_US
+from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
-from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, rows_of
+from pipelines.media.joined_units import StreamUnit
 from pipelines.recording import recorded_messages as messages
 from pipelines.recording.channels import (
     EVENTS,
@@ -55,8 +54,6 @@ class ContactWatch:
         return found
 
 
-#: A key picture that is added comes this long before its unit.
-_AHEAD_NS = NS_PER_US
 #: Kinds of events that are warnings in the log.
 _WARNINGS = frozenset({"process", "stale", "recorder"})
 
@@ -151,27 +148,16 @@ class SessionMessages:
             for at_ns, text in self._contact.handle_rows(rows_of(octets))
         ]
 
-    def of_unit(
-        self, source: Source, unit: CodedUnit, data: bytes, stamp: CaptureStamp, at: Instants
-    ) -> Sequence[ChannelMessage]:
-        """Return an access unit and its facts. data: what takes its place."""
-        wall_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns
+    def of_unit(self, source: Source, came: StreamUnit, now_ns: int) -> Sequence[ChannelMessage]:
+        """Return an access unit and its facts."""
+        unit, stamp, at_ns, data = came
+        wall_ns = came.captured_ns + self._offset_ns
         picture = messages.RecordedPicture(
             wall_ns=wall_ns, frame_id=source.name, data=data, format=unit.codec
         )
         told = [messages.pack(picture), messages.pack(messages.UnitMetadata.of(unit, stamp))]
+        at = Instants(at_ns, now_ns)
         return _messages(source.channels, told, wall_ns, stamp.sequence, at)
-
-    def of_key(
-        self, source: Source, unit: CodedUnit, key: bytes, stamp: CaptureStamp, at: Instants
-    ) -> Sequence[ChannelMessage]:
-        """Return a key picture that is added ahead of a unit, and its facts."""
-        added = replace(unit, key=True, damaged=False)
-        log_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns - _AHEAD_NS
-        picture = messages.RecordedPicture(wall_ns=log_ns, frame_id=source.name, data=key)
-        metadata = replace(messages.UnitMetadata.of(added, stamp), octets=len(key), added=True)
-        told = [messages.pack(picture), messages.pack(metadata)]
-        return _messages(source.channels, told, log_ns, max(0, stamp.sequence - 1), at)
 
     def of_camera(
         self, source: Source, unit: bytes, stamp: CaptureStamp, number: int, now_ns: int

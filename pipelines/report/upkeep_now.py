@@ -190,7 +190,7 @@ class BandwidthWatch:
 
 
 class UpkeepNow:
-    """Experiment, contact ahead and bandwidth of a session. Call `handle_look` twice a second."""
+    """Experiment, contact ahead and bandwidth of a session. Call `handle_look` once a second."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector

@@ -32,6 +32,7 @@ from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
 from pipelines.session.mission_messages import RobotOrder
 from pipelines.session.probe import FLUSH_NS
+from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
@@ -336,9 +337,7 @@ class Simulation:
         report = build_report(
             self.collector,
             seconds=(self._now_ns - self.start_ns) / NS_PER_S,
-            cpu_s=dict.fromkeys(processes, 0.0),
-            restarts=dict.fromkeys(processes, 0),
-            launcher_cpu_s=0.0,
+            processes=[ProcessNow(name=name) for name in processes],
             media=self._media is not None,
         )
         simulation = SimulationReport(

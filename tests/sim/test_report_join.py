@@ -5,7 +5,7 @@ import array
 import msgspec
 import numpy as np
 import pytest
-from told import message
+from told import message, processes
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
@@ -63,9 +63,7 @@ class Twice(Collector):
         report = build_report(
             end,
             seconds=seconds,
-            cpu_s=dict.fromkeys(names, 0.0),
-            restarts=dict.fromkeys(names, 0),
-            launcher_cpu_s=0.0,
+            processes=processes(names),
         )
         trace = EndTrace(
             setup=setup_toml(self.setup),

@@ -185,10 +185,6 @@ class VideoRow(MediaRow):
     def lag_topic(self) -> Topic[Lag]:
         return Topic(f"lag/{self.name}", Lag, "how late the newest picture was shown")
 
-    @property
-    def decoded_topic(self) -> Topic[None]:
-        return Topic(f"decoded/{self.name}", None, "decoded picture in its coded size")
-
 
 @dataclass(frozen=True, kw_only=True)
 class InputRow:

@@ -86,9 +86,6 @@ RTC_UNITS_TOPIC = Topic[CodedUnit]("rtc/units", CodedUnit, "access unit of the p
 RTC_CODED_CAMERA_TOPIC = Topic[CodedUnit](
     f"coded/{RTC_CAMERA}", CodedUnit, "access unit of the partner, with its size"
 )
-RTC_DECODED_CAMERA_TOPIC = Topic[None](
-    f"decoded/{RTC_CAMERA}", None, "picture of the partner in its coded size"
-)
 RTC_CAMERA_TOPIC = received_topic(RTC_CAMERA)
 RTC_CODED_VOICE_TOPIC = Topic[bytes](
     f"coded/{RTC_VOICE}", bytes, "Opus packet of the partner as played"

@@ -17,8 +17,10 @@ from enum import Enum, auto
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.link_metrics import OtherEndMetrics, SupervisionMetrics
+from telepresence.link.repair.reserve import Loss
 from telepresence.link.supervision.challenge import HelloSchedule, Proof
 from telepresence.link.supervision.message import (
+    KINDS_WITH_LOSS,
     Configuration,
     LinkState,
     MessageKind,
@@ -165,6 +167,7 @@ class Supervisor:
     delivering: received data may be delivered to the applications, because this start of the peer
     was checked. It stays true during a loss of signal.
     next_ns: when `poll_transmit` has something to do.
+    loss: what of the peer's frames is lost, for the next message; set by the gateway.
     """
 
     def __init__(
@@ -188,6 +191,7 @@ class Supervisor:
         self.signal = False
         self.peer_hears = False
         self.delivering = False
+        self.loss = Loss()
         # poll_transmit runs once a slot, so it notices a loss up to a slot late.
         self._silence_ns = max(
             self.timing.loss_ns - configuration.transmit.slot_ns,
@@ -218,6 +222,17 @@ class Supervisor:
     def peer_boot_id(self) -> int:
         """The start of the peer that was checked; 0 before the first."""
         return self._negotiation.peer_boot_id
+
+    @property
+    def repair(self) -> bool:
+        """Whether both ends restore lost frames, as far as this end knows."""
+        return self._negotiation.repair
+
+    @property
+    def peer_loss(self) -> Loss | None:
+        """What the peer's last message says of this end's frames; None: it says nothing."""
+        peer = self._negotiation.peer
+        return None if peer is None or peer.kind not in KINDS_WITH_LOSS else peer.loss
 
     def handle_unknown_sender(
         self, message: bytes | None, now_ns: int, *, frames: int, lasts_ns: int
@@ -531,4 +546,5 @@ class Supervisor:
             rates_kbps=negotiation.rates_kbps,
             number=number,
             echo=echo,
+            loss=self.loss,
         )
