@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(parser, "--recode", "--cap-kbps")
     add_session_options(
-        parser, "radio", "radio_start", "radio_delay_ms", "seed", "deadband", "hand"
+        parser, "radio", "radio_start", "radio_delay_ms", "seed", "deadband", "hand", "repair"
     )
     parser.set_defaults(seed=None)
     add_options(

@@ -39,9 +39,11 @@ from pipelines.recording.session_messages import ChannelMessage, Figure, Instant
 from pipelines.seats.command_client import CommandClient
 from pipelines.seats.texts import CommandRequest
 from pipelines.session.access import VIEWER_WORDS
-from pipelines.session.session_metrics import SampleNumbers, SessionEvents, gathered, nested_values
+from pipelines.session.session_metrics import SampleNumbers, SessionNews, gathered, nested_values
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_text import setup_table
-from pipelines.session.topology import TASKS, Segment, Topology
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import TASKS
 
 _WHO: Final = "foxglove"
 _SELECT_TASK = "/task/select"
@@ -330,20 +332,19 @@ class Bridge:
             elif client.lacks(message.channel, now_ns):
                 self.coder(source).handle_part()
 
-    def handle_told(self, told: SessionEvents, now_ns: int) -> None:
+    def handle_session(self, news: SessionNews, now_ns: int) -> None:
         """The launcher tells figures, and what happened."""
-        at_ns = told.at_us * NS_PER_US
-        if told.metrics:
-            before, self._metrics, self._metrics_ns = self._metrics, told.metrics, at_ns
-            self._put([self._messages.of_metrics(told.metrics, at_ns, now_ns)], now_ns)
-            changed: dict[str, protocol.Value] = {
-                f"figures.{name}": value
-                for name, value in told.metrics.items()
-                if name not in before or before[name] != value
-            }
-            for client in self._clients.values():
-                client.put_parameters(changed)
-        for event in told.events:
+        at_ns = news.at_us * NS_PER_US
+        before, self._metrics, self._metrics_ns = self._metrics, news.figures, at_ns
+        self._put([self._messages.of_metrics(news.figures, at_ns, now_ns)], now_ns)
+        changed: dict[str, protocol.Value] = {
+            f"figures.{name}": value
+            for name, value in news.figures.items()
+            if name not in before or before[name] != value
+        }
+        for client in self._clients.values():
+            client.put_parameters(changed)
+        for event in news.events:
             recorded = gathered(RecordedEvent, event, session_ns=event.at_us * NS_PER_US)
             self._put_event(recorded, now_ns)
 

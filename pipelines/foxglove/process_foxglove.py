@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
-import msgspec
 from aiohttp import web
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -26,9 +25,9 @@ from pipelines.session.access import AccessError, AccessKind, Found, Role
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
-from pipelines.session.session_metrics import SessionEvents
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import FOXGLOVE, Segment
+from pipelines.session.topology.topics import FOXGLOVE
 from pipelines.session.web_site import WebSite
 
 #: How often topics are read, and without a client.
@@ -95,8 +94,8 @@ class _FoxgloveServer:
             await asyncio.sleep((_WAKE_NS if self._wakes else _IDLE_NS) / NS_PER_S)
 
     def _take_metrics(self) -> None:
-        while (text := self._context.receive_metrics()) is not None:
-            self._bridge.handle_told(msgspec.json.decode(text, type=SessionEvents), self._now_ns())
+        while (news := self._context.receive_news()) is not None:
+            self._bridge.handle_session(news, self._now_ns())
         self._settle()
 
     def _take_news(self, segment: Segment, lease: Lease) -> None:

@@ -132,16 +132,44 @@ def _kilobits(stream: VideoStream, gain_bps: int) -> int:
     return int(settings.options()["bufsize"]) // _KILOBIT
 
 
+class LeftOut:
+    """Leaves out pictures at equal distances, so that their slots carry repair.
+
+    every: one picture of so many coded ones is left out; 0: none. Never more than leave the
+    stream's `least_fps`.
+    """
+
+    def __init__(self, stream: VideoStream) -> None:
+        self.every = 0
+        spare_hz = stream.coded_hz - stream.least_fps
+        self._least = -(-stream.coded_hz // spare_hz) if spare_hz > 0 else None
+        self._period_ns = NS_PER_S // stream.coded_hz
+        self._last_ns = 0
+
+    def leaves_out(self, capture_ns: int) -> bool:
+        """Whether to leave out the picture of this instant; ask once for each."""
+        if not self.every or self._least is None:
+            return False
+        every = max(self.every, self._least)
+        since_ns = capture_ns - self._last_ns
+        if not 0 <= since_ns < (2 * every - 1) * self._period_ns // 2:
+            self._last_ns, since_ns = capture_ns, 0
+        # A fast camera has several pictures in a period.
+        return since_ns < self._period_ns // 2
+
+
 class LinkedVideoSender:
     """Adapts the `VideoSender` to the link: to its queue, and to the room of left-out samples.
 
     Use `sender` for everything else.
 
     gain: raises the cap by what left-out samples free; None: the cap stays.
+    left_out: the pictures that are not to be coded.
     """
 
-    def __init__(self, sender: VideoSender, gain: CapGain | None = None) -> None:
+    def __init__(self, sender: VideoSender, left_out: LeftOut, gain: CapGain | None = None) -> None:
         self.sender = sender
+        self.left_out = left_out
         self.gain = gain
         self._cap_bps = sender.cap_bps
         self._channel_bps = sender.channel_bps
@@ -149,6 +177,7 @@ class LinkedVideoSender:
 
     def handle_backlog(self, backlog: Backlog, told_ns: int, now_ns: int) -> None:
         """What the gateway reported at `told_ns`."""
+        self.left_out.every = backlog.leave_out
         self.handle_freed(backlog.freed_bps, now_ns)
         self.sender.handle_channel(
             backlog.waiting_octets, told_ns, contacts=backlog.contacts, way_back=backlog.peer_heard

@@ -12,7 +12,7 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.media.following import CameraFollower, Choice, tip_region
-from pipelines.media.gain import LinkedVideoSender, gain_of
+from pipelines.media.gain import LeftOut, LinkedVideoSender, gain_of
 from pipelines.media.stream_metrics import (
     Outgoing,
     note_unit,
@@ -67,13 +67,15 @@ class VideoSendEnd(Generic[PictureT]):
         release: Callable[[PictureT], object] = lambda _: None,
     ) -> None:
         self._sender = video_sender(setup, stream, identity, wall_offset_ns=wall_offset_ns)
-        self._linked = LinkedVideoSender(self._sender, gain_of(setup, stream))
+        self._linked = LinkedVideoSender(self._sender, LeftOut(stream), gain_of(setup, stream))
         self._outgoing = Outgoing(self._sender, probe, *send)
         self._probe, self._release = probe, release
         self._follower = CameraFollower() if follows else None
         self._tip = tip_region(setup) if follows else None
         #: No picture has come since another camera was selected.
         self._new = False
+        #: Pictures before the newest one that were left out.
+        self._skipped = 0
         self._waiting: tuple[PictureT, CaptureStamp] | None = None
         self._busy = False
         self.handle_backlog = self._linked.handle_backlog
@@ -104,10 +106,17 @@ class VideoSendEnd(Generic[PictureT]):
         self, picture: PictureT, stamp: CaptureStamp, now_ns: int, *, skipped: int = 0
     ) -> None:
         """The newest picture. skipped: those before it that the caller left out."""
-        self.drop()
         self._new = False
+        self._skipped += skipped
+        # One that still waits is left out by this one.
+        if self._linked.left_out.leaves_out(stamp.capture_ns) and self._waiting is None:
+            self._skipped += 1
+            self._release(picture)
+            return
+        self.drop()
         self._waiting = picture, stamp
-        self._sender.handle_picture(stamp, now_ns, skipped=skipped)
+        self._sender.handle_picture(stamp, now_ns, skipped=self._skipped)
+        self._skipped = 0
 
     def drop(self) -> None:
         """Release the picture that waits to be encoded."""

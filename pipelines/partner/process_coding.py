@@ -17,7 +17,8 @@ from pipelines.partner.decisions import RTC_REQUEST_TOPIC, CodingRequest, Pictur
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import GROUND_MIC
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import (
+from pipelines.session.topology.streams import partner_camera
+from pipelines.session.topology.topics import (
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
     RTC_CODED_CAMERA_TOPIC,
@@ -25,7 +26,6 @@ from pipelines.session.topology import (
     RTC_UNITS_TOPIC,
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
-    partner_camera,
 )
 
 

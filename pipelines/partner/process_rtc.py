@@ -26,7 +26,7 @@ from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import (
+from pipelines.session.topology.topics import (
     RTC,
     RTC_CAMERA,
     RTC_CODED_VOICE_TOPIC,

@@ -3,8 +3,12 @@
 from pipelines.hand.hand_topics import ARM_ORDER_TOPIC
 from pipelines.media.following import SELECTED_TOPIC
 from pipelines.partner.decisions import RTC_REQUEST_TOPIC
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import GROUND_MIC
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import ProcessRow, Stage, given
+from pipelines.session.topology.streams import partner_camera, partner_voice
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     RTC,
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
@@ -16,13 +20,6 @@ from pipelines.session.topology import (
     RTC_UNITS_TOPIC,
     RTC_VIDEO_TOPIC,
     RTC_VOICE_TOPIC,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
-    given,
-    partner_camera,
-    partner_voice,
 )
 
 

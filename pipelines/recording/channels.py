@@ -38,19 +38,17 @@ from pipelines.session.mission_messages import (
     ExperimentShown,
     LedsShown,
 )
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic, OpusPacket, PacketOctets
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import Frames, Kind, VideoRow
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     RTC_CAMERA,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
     RTC_VOICE,
-    Frames,
-    Kind,
-    Segment,
-    Topology,
-    VideoRow,
     packet_topics,
 )
 from telepresence.link.link_metrics import GatewayMetrics

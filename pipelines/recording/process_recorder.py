@@ -10,8 +10,6 @@ goes on, in a new part.
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
-
 from kontur_av import __version__
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
@@ -38,7 +36,7 @@ from pipelines.session.recording_requests import (
     write_request,
 )
 from pipelines.session.requests import RequestServer
-from pipelines.session.session_metrics import SessionEvents, gathered
+from pipelines.session.session_metrics import SessionNews, gathered
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import TopicReader
 
@@ -88,9 +86,9 @@ class _RecorderProcess:
                 if self._requests.poll_abandoned(now_ns()):
                     self._stop()
                 context.tick(now_ns())
-                while (told := context.receive_metrics()) is not None:
+                while (news := context.receive_news()) is not None:
                     if self._recording is not None:
-                        self._recording.handle_events(told)
+                        self._recording.handle_news(news)
                 if self._recording is not None:
                     self._recording.handle_wake()
         if self._recording is not None:
@@ -212,11 +210,9 @@ class _Recording:
     def metrics(self) -> RecorderMetrics:
         return self._recorder.metrics(str(self.file))
 
-    def handle_events(self, told: bytes) -> None:
+    def handle_news(self, news: SessionNews) -> None:
         """The launcher tells the figures, and what happened, also before the recording."""
-        news = msgspec.json.decode(told, type=SessionEvents)
-        if news.metrics:
-            self._recorder.handle_metrics(news.metrics, news.at_us * NS_PER_US, self._now_ns())
+        self._recorder.handle_metrics(news.figures, news.at_us * NS_PER_US, self._now_ns())
         for event in news.events:
             at_ns = event.at_us * NS_PER_US
             if at_ns >= self._since_ns:

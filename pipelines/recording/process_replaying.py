@@ -29,8 +29,10 @@ from pipelines.recording.recorder_metrics import ReplayMetrics
 from pipelines.recording.rows import Script, replay_topology
 from pipelines.session.datagrams import receive
 from pipelines.session.process import Context, wait_ns
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
+from pipelines.session.topology.table import Topology
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 #: From capture to encoder, and to sender: as in a simulation.
@@ -243,8 +245,8 @@ def run_haptic_replay(
     """Send the recorded samples of an end, in a loop at 1 kHz."""
     time = start.time_of(context)
     end = ReplayedEnd(rows, time, context.probe, robot=robot, boot_id=new_boot_id())
-    ports = session_ports(context.topology, "robot" if robot else "joystick")
-    run_loop(context, end, ports)
+    port, gateway_port = session_ports(context.topology, "robot" if robot else "joystick")
+    run_loop(context, end, port, context.own_sender(gateway_port))
 
 
 def replayed_session(

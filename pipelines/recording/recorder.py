@@ -23,9 +23,9 @@ from pipelines.recording.recorder_metrics import RecordedChannel, RecorderMetric
 from pipelines.recording.session_messages import ChannelMessage, Figure, Instants, SessionMessages
 from pipelines.session.recording_requests import PartLimits
 from pipelines.session.session_metrics import SampleNumbers
-from pipelines.session.topology import Topology
+from pipelines.session.topology.table import Topology
 
-#: Events come at most so late: the launcher looks for them twice a second.
+#: Events come at most so late: the launcher looks for them once a second.
 EVENTS_LATE_NS: Final = 3 * NS_PER_S
 #: How often the losses are written, while they change.
 _LOSSES_NS = NS_PER_S

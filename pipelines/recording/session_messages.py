@@ -24,7 +24,7 @@ from pipelines.recording.channels import (
 )
 from pipelines.session.mission_messages import ExperimentShown, LedsShown
 from pipelines.session.topic import OpusPacket, PacketOctets
-from pipelines.session.topology import Frames
+from pipelines.session.topology.rows import Frames
 from telepresence.link.link_metrics import GatewayMetrics
 
 #: A contact has ended when the tip was free for this long; shorter breaks are the tip's bounces.

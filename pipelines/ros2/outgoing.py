@@ -28,7 +28,7 @@ from pipelines.ros2.publications import (
     RosSource,
 )
 from pipelines.ros2.ros_messages import RosMessages
-from pipelines.session.session_metrics import MonitoredSession, SampleNumbers, nested_values
+from pipelines.session.session_metrics import SampleNumbers, SessionNews, nested_values
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.
@@ -160,9 +160,8 @@ class OutgoingMessages:
                 line = f"{news.fields['sender']}: {news.fields['text']}"
                 yield Outbound(CHAT_TOPIC, self._messages.text(line))
 
-    def metrics(self, told: bytes, now_ns: int) -> Outbound:
-        """Return the diagnostics of what the launcher has told: a `MonitoredSession`."""
-        news = msgspec.json.decode(told, type=MonitoredSession)
+    def metrics(self, news: SessionNews, now_ns: int) -> Outbound:
+        """Return the diagnostics of what the launcher has told."""
         report = msgspec.json.decode(news.report)
         parts = {
             f"{part} {name}": {

@@ -43,7 +43,8 @@ from pipelines.ros2.ros_messages import MOST_OCTETS, RosMessages
 from pipelines.session.process import Context
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import TopicWriter
-from pipelines.session.topology import ROS2, Topology
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import ROS2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,9 +190,9 @@ class _Ros2Process:
         """Read what has come, and publish it if it is wanted."""
         now_ns = self._now_ns()
         self._context.tick(now_ns)
-        while (told := self._context.receive_metrics()) is not None:
+        while (news := self._context.receive_news()) is not None:
             if DIAGNOSTICS_TOPIC in self._wanted:
-                self._publish(self._messages.metrics(told, now_ns))
+                self._publish(self._messages.metrics(news, now_ns))
         self._read(now_ns)
 
     def _declare(self, domain: int) -> None:

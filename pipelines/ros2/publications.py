@@ -26,8 +26,10 @@ from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
-from pipelines.session.topology import Kind, Segment, Topology
+from pipelines.session.topology.rows import Kind
+from pipelines.session.topology.table import Topology
 
 _GID_OCTETS: Final = 16
 _ATTACHMENT = struct.Struct(f"<qqB{_GID_OCTETS}s")

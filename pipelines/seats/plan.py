@@ -23,17 +23,15 @@ from pipelines.session.mission_messages import (
     RobotStatus,
 )
 from pipelines.session.session_metrics import gathered
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topic import AnyTopic, Topic
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import Kind
+from pipelines.session.topology.streams import partner_camera, partner_voice
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     RTC_CODED_CAMERA_TOPIC,
     RTC_VOICE_TOPIC,
-    Direction,
-    Kind,
-    Segment,
-    Topology,
-    partner_camera,
-    partner_voice,
 )
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel

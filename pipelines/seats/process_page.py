@@ -23,7 +23,8 @@ from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Foun
 from pipelines.session.page_messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
-from pipelines.session.topology import PAGES, Segment
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import PAGES
 from pipelines.session.web_site import WebSite
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -114,8 +115,8 @@ class PageServer:
         self._sockets.handle_time(now_ns)
 
     def _metrics(self) -> None:
-        while (text := self._context.receive_metrics()) is not None:
-            self._seat.handle_metrics(text, self._now_ns())
+        while (news := self._context.receive_news()) is not None:
+            self._seat.handle_session(news, self._now_ns())
         self._settle()
 
     def _watch(self) -> None:

@@ -11,16 +11,14 @@ from pipelines.session.mission_messages import (
     MISSION_PANEL_TOPIC,
     ROBOT_STATUS_TOPIC,
 )
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import Kind, ProcessRow, Stage
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     PAGES,
     RTC_CODED_CAMERA_TOPIC,
     RTC_VOICE_TOPIC,
-    Kind,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
 )
 from pipelines.session.training import TRAINER_TOPIC
 

@@ -46,9 +46,9 @@ from pipelines.session.recording_requests import (
 from pipelines.session.requests import ask_async
 from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.session_switch import Order
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import Segment
 from pipelines.session.training import TRAINER_SOCKET, TrainerAnswer, TrainerRequest
 from telepresence.haptics.device.page import PageInput
 

@@ -20,6 +20,7 @@ from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import NO_RADIO, Deadband, HandMode, Setup
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import SIMULATED
+from telepresence.link.profile import Repair
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile_file import load_radio
 
@@ -118,6 +119,10 @@ class StreamOptions:
 
     radio: str | None = _radio(
         f"*PROFILE  {', '.join(RADIOS)} or FILE.toml", rivals=("radio_delay_ms",)
+    )
+    repair: Repair | None = _radio(
+        "restore lost frames from idle slots (idle), and while losses are reported also from the "
+        "room of pictures that are left out (auto, the default)"
     )
     end: Literal["ground", "space"] | None = _radio(
         "*run this end alone; the other runs on another machine"
@@ -331,7 +336,7 @@ def stream_options(args: argparse.Namespace) -> StreamOptions:
 
 def setup_changes(options: StreamOptions) -> Mapping[str, Any]:
     """What the options change in the setup."""
-    changes = {name: getattr(options, name) for name in ("base_port", "deadband", "hand")}
+    changes = {name: getattr(options, name) for name in ("base_port", "deadband", "hand", "repair")}
     if options.radio is not None:
         changes |= {"radio": load_radio(options.radio), "radio_delay_ms": 0.0}
     elif options.radio_delay_ms is not None:

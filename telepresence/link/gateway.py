@@ -28,6 +28,7 @@ from telepresence.link.profile import LinkProfile
 from telepresence.link.queues import QueueLimits
 from telepresence.link.radio import RadioPath
 from telepresence.link.receiver import LinkReceiver, UnknownFrame
+from telepresence.link.repair.ends import EndRepair
 from telepresence.link.sender import LinkSender
 from telepresence.link.supervision.message import Configuration, SupervisionTiming
 from telepresence.link.supervision.record import (
@@ -96,6 +97,7 @@ class Gateway:
         )
         self.receiver = LinkReceiver(receive, receive_flows)
         self.receiver.cautious = True
+        self.repair = EndRepair(self.sender, self.receiver)
         self.radio = RadioPath() if radio is None else radio
         self.supervisor = Supervisor(
             master=master,
@@ -180,6 +182,7 @@ class Gateway:
         supervisor, sender = self.supervisor, self.sender
         message = None
         if now_ns >= supervisor.next_ns:
+            supervisor.loss = self.repair.measure(now_ns)
             message = supervisor.poll_transmit(now_ns)
             self._follow_supervision()
         clock = self.clock
@@ -232,6 +235,7 @@ class Gateway:
                 reports.handle_report(event)
             elif not self._is_of_clock(event.message, event.now_ns):
                 supervisor.handle_message(event.message, event.now_ns)
+                self.repair.handle_loss(supervisor.peer_loss, event.now_ns)
                 self._follow_supervision()
         return None if self._reports is None else self._reports.next_event()
 
@@ -290,6 +294,7 @@ class Gateway:
                 receiver.handle_signal_lost(event.now_ns)
                 receiver.forget_contexts()
         receiver.deliver = supervisor.delivering
+        self.repair.set(supervisor.repair)
 
     @property
     def freed_bps(self) -> int:
@@ -307,7 +312,7 @@ class Gateway:
     def report(self, now_ns: int) -> GatewayMetrics:
         """Return the counts of this end until `now_ns`."""
         return GatewayMetrics(
-            transmit=self.sender.report(now_ns),
+            transmit=self.sender.report(now_ns, self.repair.report()),
             receive=self.receiver.report(),
             radio=self.radio.report(),
             supervision=self.supervisor.report(now_ns),
@@ -331,6 +336,7 @@ class Backlog(NamedTuple):
     peer_heard: whether the peer is heard now.
     freed_bps: capacity left by slots without a haptic sample (`Gateway.freed_bps`).
     maintenance_octets: what waits on the lowest level.
+    leave_out: one picture of so many is to be left out, for repair; 0: none.
     """
 
     waiting_octets: int
@@ -338,6 +344,7 @@ class Backlog(NamedTuple):
     peer_heard: bool
     freed_bps: int
     maintenance_octets: int = 0
+    leave_out: int = 0
 
 
 class BacklogReporter:
@@ -348,7 +355,7 @@ class BacklogReporter:
         self._supervisor = gateway.supervisor
         self._video = gateway.sender.queue(Level.VIDEO)
         self._maintenance = gateway.sender.queue(Level.MAINTENANCE)
-        self._seen: tuple[int, int, bool, int, int] | None = None
+        self._seen: tuple[int, int, bool, int, int, int] | None = None
         self._reported: Backlog | None = None
         self._due_ns = self._repeat_ns = 0
 
@@ -360,13 +367,14 @@ class BacklogReporter:
         waiting_octets = self._video.octets + gateway.sender.begun_octets(Level.VIDEO)
         left_octets = self._maintenance.octets
         signal, free_slots = self._supervisor.signal, gateway.free_slots
-        seen = waiting_octets, gateway.contacts, signal, free_slots, left_octets
+        leave_out = gateway.repair.leave_out
+        seen = waiting_octets, gateway.contacts, signal, free_slots, left_octets, leave_out
         again = now_ns >= self._repeat_ns
         if seen == self._seen and not again:
             return None
         self._seen = seen
         freed_bps = gateway.freed_bps
-        backlog = Backlog(*seen[:3], freed_bps - freed_bps % FREED_STEP_BPS, left_octets)
+        backlog = Backlog(*seen[:3], freed_bps - freed_bps % FREED_STEP_BPS, *seen[4:])
         if backlog == self._reported and not again:
             return None
         self._reported = backlog

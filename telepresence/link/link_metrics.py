@@ -43,6 +43,26 @@ class QueueMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RepairSentMetrics:
+    """What a sender does so that the other end can restore lost frames."""
+
+    #: `off`, `idle`: in idle slots, or `reserve`: also in slots that are kept for it.
+    mode: str
+    #: The reason for it.
+    why: str
+    #: Repair zones kept behind each voice packet.
+    after_voice: Newest[int]
+    #: Repair zones kept behind each picture.
+    after_picture: Newest[int]
+    #: One picture of so many is left out; 0: none.
+    leave_out: Newest[int]
+    #: The share of frames that the other end lost in the last two seconds.
+    lost: float
+    #: The packets that this cost there, as a share of the frames.
+    torn: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SenderMetrics:
     """One direction at its sender (`LinkSender`)."""
 
@@ -61,6 +81,26 @@ class SenderMetrics:
     headers: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     #: Packets not taken, by reason.
     refused: Mapping[str, int] = field(default_factory=dict)
+    #: Null where the setup repairs nothing.
+    repair_sent: RepairSentMetrics | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RepairMetrics:
+    """What repair zones restored of lost frames (`RepairedPackets`)."""
+
+    #: Packet zones restored.
+    zones: int = 0
+    #: Lost zones that were not restored within the code's window.
+    given_up: int = 0
+    #: Repair zones that contradict what came: a wrong frame passed its FECF.
+    contradictions: int = 0
+    #: Packets that came out when a zone was restored.
+    packets: int = 0
+    #: Restored packets dropped: newer ones of their flow had come, or voice was too late.
+    late: int = 0
+    #: The longest wait for a zone that was restored.
+    wait_max_ns: Most[int] = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,6 +122,8 @@ class ReceiverMetrics:
     packets: Mapping[str, int] = field(default_factory=dict)
     #: Packets dropped, by reason.
     packets_dropped: Mapping[str, int] = field(default_factory=dict)
+    #: Null where the setup repairs nothing.
+    repaired: RepairMetrics | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

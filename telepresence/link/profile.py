@@ -1,6 +1,7 @@
 """Link profile: the frame size, the frame rate and the zones of one direction of the link."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
@@ -21,6 +22,8 @@ _POINTER_CODES = 4
 _LARGEST_ZONE_OF_VCID_POINTER = _LARGEST_VCID_POINTER - _POINTER_CODES
 _LARGEST_ZONE_OF_MPDU_POINTER = (1 << 11) - 1 - _POINTER_CODES
 
+Repair = Literal["off", "idle", "auto"]
+
 
 @dataclass(frozen=True, kw_only=True)
 class LinkProfile:
@@ -36,6 +39,8 @@ class LinkProfile:
     pointer_in_vcid: the first header pointer, 0 to 31, is added to `vcid` instead of an M_PDU
         header (docs/link-format.md gives the reason). Only for insert and packet zones of together
         up to 27 octets, and a `vcid` up to 31.
+    repair: what restores lost frames (`telepresence.link.repair`): nothing, idle zones, or while
+        loss is reported reserved ones, too.
 
     Raises ConfigError for values that do not fit together.
     """
@@ -47,6 +52,7 @@ class LinkProfile:
     scid: int
     vcid: int = 1
     pointer_in_vcid: bool = False
+    repair: Repair = "off"
 
     def __post_init__(self) -> None:
         if not 0 <= self.scid <= 0xFF:

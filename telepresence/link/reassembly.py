@@ -4,8 +4,10 @@ It never raises because of data from the peer; invalid data is counted by reason
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
+from typing import Self
 
 from telepresence.link.flows import (
     MAX_FLOWS,
@@ -31,6 +33,8 @@ from telepresence.link.frame import (
 from telepresence.link.header_compression import KIND_WHOLE, RtpDecompressor
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
 
+#: Bits of a packet's place for the position of its tag.
+PLACE_SHIFT = 11
 #: The level that each control code resumes; -1 for undefined codes.
 _RESUMED = [-1] * TAG_RESUME + [*range(len(Level))]
 
@@ -40,7 +44,7 @@ class _Partial:
     """A packet whose end has not arrived yet."""
 
     tag: int
-    count: int
+    place: int
     body: bytearray
 
 
@@ -51,12 +55,15 @@ class PacketReassembly:
 
     received: by flow, in the table's order. dropped: by reason.
     deliver: while False, packets are dropped and counted as `unapproved`.
+    hand_on: called with each whole packet: place, number of its flow, packet, instant. A packet's
+        place in the stream is the frame count, then 11 bits of its tag's position in the zone.
     """
 
     def __init__(
         self, profile: LinkProfile, flows: Sequence[Flow], events: deque[LinkEvent]
     ) -> None:
         self.deliver = True
+        self.hand_on: Callable[[int, int, bytes, int], None] = self.take
         self.flows = flows
         self.dropped: dict[str, int] = {}
         self.received = [0] * len(flows)
@@ -96,6 +103,17 @@ class PacketReassembly:
                 self._extend(on_air, zone[:pointer])
                 self._finish(self._on_air, now_ns)
             self._parse_tags(zone, pointer, count, now_ns)
+
+    def fork(self, hand_on: Callable[[int, int, bytes, int], None]) -> Self:
+        """Return another one in the same state, whose drops nobody counts."""
+        other = copy(self)
+        other.hand_on, other.dropped = hand_on, {}
+        other._partials = [
+            partial and _Partial(partial.tag, partial.place, partial.body[:])
+            for partial in self._partials
+        ]
+        other._decompressors = [copy(decompressor) for decompressor in self._decompressors]
+        return other
 
     def drop_incomplete(self) -> None:
         """Drop the packets whose end has not come."""
@@ -141,13 +159,14 @@ class PacketReassembly:
         partial = self._partials[level]
         self._partials[level] = None
         if partial is not None:
-            self._deliver(partial.tag, partial.count, bytes(partial.body), now_ns)
+            self._finish_packet(partial.tag, partial.place, bytes(partial.body), now_ns)
 
     def _parse_tags(self, zone: bytes, position: int, count: int, now_ns: int) -> None:
         size = len(zone)
         self._on_air = None
         while position < size:
             tag = zone[position]
+            place = count << PLACE_SHIFT | position
             position += 1
             if tag == TAG_PAD:
                 continue
@@ -179,9 +198,9 @@ class PacketReassembly:
                     self._partials[level] = None
                     self.drop("incomplete")
                 if tag & CLOSED:
-                    self._deliver(tag & ~CLOSED, count, piece, now_ns)
+                    self._finish_packet(tag & ~CLOSED, place, piece, now_ns)
                 else:
-                    self._partials[level] = _Partial(tag, count, bytearray(piece))
+                    self._partials[level] = _Partial(tag, place, bytearray(piece))
                     self._on_air = level
                 continue
             self._extend(level, piece)
@@ -190,12 +209,12 @@ class PacketReassembly:
             else:
                 self._on_air = level
 
-    def _deliver(self, tag: int, count: int, body: bytes, now_ns: int) -> None:
+    def _finish_packet(self, tag: int, place: int, body: bytes, now_ns: int) -> None:
         number, kind = tag & NUMBER_MASK, tag >> KIND_SHIFT
         decompressor = self._decompressors[number]
         packet: bytes | str
         if decompressor is not None:
-            packet = decompressor.decompress(kind, body, count)
+            packet = decompressor.decompress(kind, body, place >> PLACE_SHIFT)
             if isinstance(packet, str):
                 self.drop(packet)
                 return
@@ -204,6 +223,10 @@ class PacketReassembly:
         else:
             self.drop("malformed")
             return
+        self.hand_on(place, number, packet, now_ns)
+
+    def take(self, place: int, number: int, packet: bytes, now_ns: int) -> None:
+        """Append a packet to the events, if packets are delivered."""
         if self.deliver:
             self.received[number] += 1
             self._events.append(PacketReceived(self.flows[number], packet, now_ns))

@@ -17,6 +17,7 @@ from telepresence.link.frame import COUNT_MASK, COUNT_MODULUS, FrameCodec, Point
 from telepresence.link.link_metrics import ReceiverMetrics
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.reassembly import PacketReassembly
+from telepresence.link.repair.packets import RepairedPackets
 
 #: A frame at most this far behind is late or repeated; farther behind it is of another stream.
 _LATE_FRAMES = 32
@@ -68,6 +69,7 @@ class LinkReceiver:
 
     profile, flows: the direction and its flow table, as at the other end.
     cautious: the first frame begins no stream; only `follow_unknown_sender` does.
+    repair: restores lost zones; None where the profile has no repair, or the peer does not know it.
     unknown: the last frame handled, if it is good but not of the stream; else None.
     """
 
@@ -82,6 +84,8 @@ class LinkReceiver:
         self.events: deque[LinkEvent] = deque()
         #: What comes in the frames' packet zones.
         self.packets = PacketReassembly(profile, self.flows, self.events)
+        self.repair: RepairedPackets | None = None
+        self.set_repair(True)
         #: The last frame's count, without the wraps of its 24 bits.
         self._count = 0
         #: The next count of the stream, -1 without a stream; when its frame is expected, by the
@@ -117,6 +121,14 @@ class LinkReceiver:
     def deliver(self, deliver: bool) -> None:
         self.packets.deliver = deliver
 
+    def set_repair(self, on: bool) -> None:
+        """Whether lost zones are restored, where the profile has repair."""
+        self._give_up_repair()
+        self.repair = None
+        self.packets.hand_on = self.packets.take
+        if on and self.profile.repair != "off":
+            self.repair = RepairedPackets(self.profile, self.packets)
+
     def handle_frame(self, frame: bytes, now_ns: int) -> bool:
         """Take a frame from the radio; return whether it is a good frame of a live peer.
 
@@ -137,7 +149,10 @@ class LinkReceiver:
             return False
         else:
             self.frames_lost += skipped
-            self.packets.drop_incomplete()
+            if self.repair is None:
+                self.packets.drop_incomplete()
+            elif skipped:
+                self.repair.handle_lost(self._count + 1, skipped, now_ns)
             self._count += skipped + 1
             due_ns = self._due_ns + skipped * self._slot_ns
         self._due_ns = (now_ns if now_ns < due_ns else due_ns) + self._step_ns
@@ -151,16 +166,22 @@ class LinkReceiver:
                 self.events.append(_new_event(HapticReceived, (sample, now_ns)))
             else:
                 self.haptic_unapproved += 1
-        self.packets.handle_zone(pointer, zone, self._count, now_ns)
+        (self.repair or self.packets).handle_zone(pointer, zone, self._count, now_ns)
         return True
 
     def handle_signal_lost(self, now_ns: int) -> None:
         """The signal is lost: drop incomplete packets, which would not be completed in time."""
+        self._give_up_repair()
         self.packets.drop_incomplete()
 
     def forget_contexts(self) -> None:
         """Forget all header contexts: the peer began a new start."""
+        self._give_up_repair()
         self.packets.forget_contexts()
+
+    def _give_up_repair(self) -> None:
+        if self.repair is not None:
+            self.repair.give_up(self._last_ns)
 
     def next_event(self) -> LinkEvent | None:
         """The next event in the order of reception, or None. Call until None."""
@@ -185,7 +206,8 @@ class LinkReceiver:
         if self._next24 < 0:
             for event in other.events:
                 self._count_unapproved(event, -1)
-        self.packets.drop_incomplete()
+        other._give_up_repair()
+        self.handle_signal_lost(self._last_ns)
         if new_boot_id:
             self.restarts += self._begun
             self._count = other._count
@@ -215,7 +237,7 @@ class LinkReceiver:
 
     def leave(self) -> None:
         """Follow no stream until `follow_unknown_sender`."""
-        self.packets.drop_incomplete()
+        self.handle_signal_lost(self._last_ns)
         self._next24 = -1
 
     def _find_skipped(self, count24: int, now_ns: int) -> int | None:
@@ -298,4 +320,5 @@ class LinkReceiver:
                 for flow, received in zip(self.flows, packets.received, strict=True)
             },
             packets_dropped=dict(packets.dropped),
+            repaired=None if self.repair is None else self.repair.report(),
         )

@@ -18,9 +18,11 @@ from telepresence.link.frame import (
     Pointers,
 )
 from telepresence.link.header_compression import KIND_WHOLE, RtpCompressor
-from telepresence.link.link_metrics import SenderMetrics
+from telepresence.link.link_metrics import RepairSentMetrics, SenderMetrics
 from telepresence.link.profile import FECF_OCTETS, HEADER_OCTETS, SUPERVISION_OCTETS, LinkProfile
 from telepresence.link.queues import DEFAULT_LIMITS, PacketQueue, QueueLimits
+from telepresence.link.repair.encoder import RepairEncoder
+from telepresence.link.repair.reserve import NOTHING
 from telepresence.tmtc.pus.head import is_packet
 
 #: Largest number of packets of which a slot sends a part. It bounds the work of a slot at both
@@ -37,6 +39,8 @@ class _InFlight:
     header_octets: int
     level: int
     kind: str
+    #: It is the last of a picture.
+    marker: bool
     offset: int = 0
 
 
@@ -49,6 +53,9 @@ class LinkSender:
     profile, flows: the direction and its flow table, as at the other end.
     limits: queue limits by level, where they differ from the defaults.
     first_count: frame count of the first frame.
+
+    repair: fills idle zones; None: they stay idle.
+    reserve: the slots that are kept for repair.
     """
 
     def __init__(
@@ -95,6 +102,18 @@ class LinkSender:
         levels = (level.name.lower() for level in Level)
         self._carried = dict.fromkeys((*levels, "rtcp", "packet_headers", "framing"), 0)
         self._idle = 0
+        self.repair: RepairEncoder | None = None
+        self.set_repair(True)
+        self._repair_octets = 0
+        #: Only the next zone's pointer tells that the packet in flight ended with the last zone.
+        self._end_untold = False
+        self.reserve = NOTHING
+        #: Repair zones that the reserve still asks for.
+        self._owed = 0
+
+    def set_repair(self, on: bool) -> None:
+        """Whether idle slots carry repair zones, where the profile has repair."""
+        self.repair = RepairEncoder(self.profile) if on and self.profile.repair != "off" else None
 
     def handle_haptic(self, sample: bytes, now_ns: int) -> bool:
         """Set the newest sample of exactly `insert_octets`; it replaces one not sent yet.
@@ -178,24 +197,48 @@ class LinkSender:
             size = self._sample_zone_octets
         else:
             size = self._plain_zone_octets
-        count = self._count
+        count, repair = self._count, self.repair
+        content, untold, repaired = None, self._end_untold, None
         if supervision is not None:
             if len(supervision) != SUPERVISION_OCTETS:
                 raise ValueError(f"a supervision message has {SUPERVISION_OCTETS} octets")
             self.supervision_sent += 1
             self._idle += size - SUPERVISION_OCTETS
-            pointer, zone = self._pointers.supervision, supervision.ljust(size, b"\0")
-        elif self._nothing_queued:
-            self._count = count + 1
-            self._idle += size
-            return self._codec.pack_idle(count, sample)
-        else:
-            pointer, zone = self._fill_zone(size, now_ns)
+            content = self._pointers.supervision, supervision.ljust(size, b"\0")
+        elif not self._nothing_queued:
+            if repair is not None and self._owed and self._may_reserve():
+                repaired = repair.repair(count, plain=sample is None, reserved=True)
+            if repaired is None:
+                self._end_untold = False
+                content = self._fill_zone(size, now_ns)
         self._count = count + 1
-        return self._codec.pack(count, sample, pointer, zone)
+        if repair is not None:
+            if content is not None:
+                repair.protect(count, *content)
+            elif repaired is None and not untold:
+                repaired = repair.repair(count, plain=sample is None)
+            if repaired is not None:
+                self._owed = max(0, self._owed - 1)
+                self._repair_octets += size
+                return self._codec.pack(count, sample, *repaired)
+        if content is not None:
+            return self._codec.pack(count, sample, *content)
+        self._end_untold = False
+        self._idle += size
+        return self._codec.pack_idle(count, sample)
 
-    def _fill_zone(self, size: int, now_ns: int) -> tuple[int, bytes]:
-        """Return the first header pointer and a packet zone of `size` octets."""
+    def _may_reserve(self) -> bool:
+        """Whether a repair zone may go before what waits: only before video and maintenance."""
+        on_air, queues = self._on_air, self._queues
+        urgent = (Level.TMTC, Level.VOICE)
+        return not (
+            self._end_untold
+            or (on_air is not None and on_air.level in urgent)
+            or any(queues[level].octets or self._waiting[level] for level in urgent)
+        )
+
+    def _fill_zone(self, size: int, now_ns: int) -> tuple[int, bytes] | None:
+        """Return the first header pointer and a packet zone of `size` octets; None: it is idle."""
         pointers = self._pointers
         queues, packet = self._queues, self._on_air
         parts: list[bytes] = []
@@ -205,18 +248,22 @@ class LinkSender:
             packet = self._on_air = None
             self._on_air_dropped = True
         if packet is not None:
-            for level in range(packet.level):
-                if queues[level].octets and queues[level].waiting(now_ns):
-                    pointer = pointers.preempt
-                    self._waiting[packet.level] = packet
-                    break
+            remaining = len(packet.body) - packet.offset
+            if any(queues[n].octets and queues[n].waiting(now_ns) for n in range(packet.level)) or (
+                size != self._sample_zone_octets
+                and self.repair is not None
+                and remaining < self.repair.least_position
+            ):
+                pointer = pointers.preempt
+                self._waiting[packet.level] = packet
             else:
-                remaining = len(packet.body) - packet.offset
                 if remaining > size:
                     return pointers.no_start, self._piece(packet, size)
-                queues[packet.level].finish(now_ns)
+                self._finish(packet, now_ns)
                 if remaining == size:
                     self._on_air = None
+                    # A restored zone does not tell it.
+                    self._end_untold = True
                     return size, self._piece(packet, size)
                 parts.append(self._piece(packet, remaining))
                 pointer = position = remaining
@@ -232,9 +279,9 @@ class LinkSender:
                 # Packets remain if there are too many for the work of one slot.
                 left = any(self._waiting) or any(queue.octets for queue in queues)
                 self._nothing_queued = not left
-                self._idle += rest
                 if not position and not pointer:
-                    return pointers.idle, bytes(size)
+                    return None
+                self._idle += rest
                 parts.append(bytes((TAG_FILL,)) + bytes(rest - 1))
                 break
             parts.append(self._segment(packet, rest, now_ns))
@@ -252,7 +299,8 @@ class LinkSender:
                 self._on_air = packet
                 packet.tag = TAG_RESUME + packet.level
             else:
-                self._queues[packet.level].finish(now_ns)
+                self._finish(packet, now_ns)
+                self._end_untold = True
             # The next frame's pointer shows that the packet ended with this zone.
             return segment
         short = remaining <= LARGEST_SHORT_LENGTH
@@ -261,7 +309,7 @@ class LinkSender:
             self._carried["framing"] += 1
             self._waiting[packet.level] = packet
             return bytes((TAG_PAD,))
-        self._queues[packet.level].finish(now_ns)
+        self._finish(packet, now_ns)
         self._carried[key] += 1
         tag = packet.tag | CLOSED
         if short:
@@ -270,6 +318,14 @@ class LinkSender:
         self._carried["framing"] += 2
         head = bytes((tag,)) + (LONG_LENGTH | remaining).to_bytes(2, "big")
         return head + self._piece(packet, remaining)
+
+    def _finish(self, packet: _InFlight, now_ns: int) -> None:
+        """The packet's last piece is in this slot."""
+        self._queues[packet.level].finish(now_ns)
+        if packet.kind == "voice":
+            self._owed = max(self._owed, self.reserve.after_voice)
+        elif packet.marker:
+            self._owed = max(self._owed, self.reserve.after_picture)
 
     def _piece(self, packet: _InFlight, octets: int) -> bytes:
         """Return the next `octets` of the packet, and count them by what they carry."""
@@ -309,7 +365,13 @@ class LinkSender:
         else:
             kind, body, header_octets = compressor.compress(data, self._count)
         tag = kind << KIND_SHIFT | number
-        return _InFlight(tag, body, header_octets, level, self._kinds[number])
+        marker = compressor is not None and level == Level.VIDEO and data[1] >= 0x80
+        return _InFlight(tag, body, header_octets, level, self._kinds[number], marker)
+
+    @property
+    def idle_octets(self) -> int:
+        """Octets of packet zones that carried no packets, repair included."""
+        return self._idle + self._repair_octets
 
     @property
     def frames_sent(self) -> int:
@@ -319,7 +381,8 @@ class LinkSender:
         """Octets of all frames by what they carried; the sum is exactly frame_octets * frames.
 
         packet_headers: tags and RTP headers, compressed or whole. framing: M_PDU headers, lengths,
-        pads and resume tags. idle: fill, and the rest of supervision slots.
+        pads and resume tags. idle: fill, and the rest of supervision slots. repair: whole zones,
+        where the profile has repair.
         """
         frames, carried = self.frames_sent, self._carried
         return {
@@ -330,9 +393,10 @@ class LinkSender:
             "framing": carried["framing"] + frames * self.profile.mpdu_octets,
             "supervision": self.supervision_sent * SUPERVISION_OCTETS,
             "idle": self._idle,
+            **({} if self.profile.repair == "off" else {"repair": self._repair_octets}),
         }
 
-    def report(self, now_ns: int) -> SenderMetrics:
+    def report(self, now_ns: int, repair: RepairSentMetrics | None = None) -> SenderMetrics:
         """Return rates, the octets by what they carried, and each level's queue."""
         return SenderMetrics(
             capacity_bps=self.profile.capacity_bps,
@@ -347,6 +411,7 @@ class LinkSender:
                 if compressor is not None
             },
             refused=dict(self.refused),
+            repair_sent=repair,
         )
 
 

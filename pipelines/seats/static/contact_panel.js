@@ -28,6 +28,8 @@ class ContactPanel extends HTMLElement {
         ...row("Down to ground", this.#downlink),
         ...row("Delay up", delay("gateways.ground.radio.delay_ns")),
         ...row("Delay down", delay("gateways.space.radio.delay_ns")),
+        ...row("Lost, restored up", losses("link.uplink")),
+        ...row("Lost, restored down", losses("link.downlink")),
         ...row("In contact for", this.#since),
         ...row("Loss of signal in", this.#until),
       ),
@@ -58,6 +60,15 @@ const row = (name, value) => [make("dt", {}, name), value];
 function delay(name) {
   const value = make("span", { "data-figure-in": name, "data-scale": MS_PER_NS, "data-decimals": "1" });
   return make("dd", {}, value, make("span", { class: "unit" }, "ms"));
+}
+
+/** Frames lost, how many of them repair restored, and its mode. @param {string} direction */
+function losses(direction) {
+  const [lost, restored, mode] = ["frames_lost", "repaired.zones", "repair_sent.mode"].map((figure) =>
+    make("span", { "data-figure": `${direction}.${figure}` }),
+  );
+  mode.className = "unit";
+  return make("dd", {}, lost, ", ", restored, " ", mode);
 }
 
 /** @param {HTMLElement} element @param {unknown} signal */

@@ -5,13 +5,14 @@
  * @import { Seat } from "./seat.js"
  */
 import { make, setText } from "./dom.js";
+import { countsBelow } from "./figure_binding.js";
 import { LAYERS, OctetHistory } from "./octet_history.js";
 import { paint } from "./palette.js";
 import { SharpCanvas } from "./sharp_canvas.js";
 import { rateText } from "./wording.js";
 
-/** Readings that are shown: a minute, two a second. */
-const COLUMNS = 120;
+/** Readings that are shown: a minute, one a second. */
+const COLUMNS = 60;
 const STEPS_BPS = [64e3, 128e3, 256e3, 512e3, 1e6, 2e6, 4e6, 8e6, 16e6, 32e6, 64e6, 128e6];
 
 /** One direction: its chart, and its column of the table. */
@@ -20,7 +21,7 @@ class Direction {
   #sharp = new SharpCanvas(() => this.#draw());
   #top = make("span", { class: "strip-top" });
   #capacity = make("span", { class: "quiet small" });
-  /** The cells of the table by row: layers, their sum, idle fill. */
+  /** The cells of the table by row: layers, their sum, idle fill and repair. */
   cells = [...LAYERS, "sum", "idle"].map(() => make("td"));
 
   /** @param {string} name */
@@ -94,11 +95,10 @@ class LinkOctets extends HTMLElement {
     const axis = make("p", { class: "time-axis" }, make("span", {}, "60 s ago"), make("span", {}, "now"));
     const charts = make("div", { class: "octets-charts" }, ...directions.map(({ chart }) => chart), axis);
     this.append(charts, legend(directions));
-    connection.on("figures", ({ at_us, link, figures }) => {
+    connection.on("figures", ({ at_us, figures }) => {
       for (const direction of directions) {
-        const counts = link[direction.name];
-        const capacity = figures[`link.${direction.name}.capacity_bps`];
-        if (counts !== undefined) direction.update(at_us, counts.octets, capacity);
+        const link = `link.${direction.name}`;
+        direction.update(at_us, countsBelow(figures, `${link}.octets.`), figures[`${link}.capacity_bps`]);
       }
     });
   }
@@ -115,7 +115,7 @@ function legend(directions) {
   // From top to bottom as in the stack, so that rows find their layers without colour.
   for (let layer = LAYERS.length - 1; layer >= 0; layer -= 1) row(LAYERS[layer].name, layer, String(layer));
   row("all of these", LAYERS.length, "none");
-  row("idle fill", LAYERS.length + 1, "none");
+  row("idle fill, repair", LAYERS.length + 1, "none");
   const heads = directions.map(({ name }) => make("th", { scope: "col" }, name));
   return make("table", { class: "octets-legend" }, make("thead", {}, make("tr", {}, make("td"), ...heads)), body);
 }

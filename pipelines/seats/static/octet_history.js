@@ -15,10 +15,10 @@ export const LAYERS = [
   { name: "headers, framing", colour: "--layer-headers", parts: ["header", "fecf", "packet_headers", "framing"] },
 ];
 
-/** The layer of what no row of `LAYERS` names; idle fill is in none. */
-const IDLE = "idle";
+/** In no layer: what fills the frames, and is larger than all else. */
+const IDLE = ["idle", "repair"];
 /** A longer step between two readings is a gap: nobody asked for figures meanwhile. */
-const GAP_US = 1_600_000;
+const GAP_US = 3_200_000;
 
 export class OctetHistory {
   /**
@@ -86,12 +86,13 @@ export class OctetHistory {
   #rates(stepUs, octets) {
     const at = (this.appended % this.columns) * LAYERS.length;
     this.ratesBps.fill(0, at, at + LAYERS.length);
+    this.idleBps = 0;
     for (const [carried, count] of Object.entries(octets)) {
       const more = count - (this.last.get(carried) ?? count);
       if (more < 0) return this.#gap();
       const bps = (more * 8e6) / stepUs;
-      if (carried === IDLE) {
-        this.idleBps = bps;
+      if (IDLE.includes(carried)) {
+        this.idleBps += bps;
         continue;
       }
       this.ratesBps[at + (this.layerOf.get(carried) ?? LAYERS.length - 1)] += bps;

@@ -23,9 +23,10 @@ from telepresence.haptics.mediated.wall import WALL_OCTETS
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.link import arithmetic
 from telepresence.link.flows import Level
-from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
+from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile, Repair
 from telepresence.link.radio.path import RadioPath
 from telepresence.link.radio.profile import RadioProfile, built_in_radio, delayed
+from telepresence.link.repair.symbols import has_codes
 from telepresence.world import DEFAULT_SCENES
 from telepresence.world.board import BoardView
 
@@ -61,6 +62,7 @@ class VideoStream:
     coded: (width, height) in which pictures are coded; None: the largest size that the cap has
         bits for (`coded_size`). They are shown in the stream's size.
     codec: `h264`, or `h265` for a better picture at more computing.
+    least_fps: fewer pictures a second are not sent where some are left out for repair.
     """
 
     name: str
@@ -72,8 +74,11 @@ class VideoStream:
     coded: tuple[int, int] | None = None
     codec: VideoCodec = "h264"
     stale_after_ms: float | None = None
+    least_fps: int = 20
 
     def __post_init__(self) -> None:
+        if self.least_fps < 1:
+            raise ConfigError(f"{self.name}: least_fps of {self.least_fps}; take at least 1")
         if not 20_000 <= self.cap_bps <= 20_000_000:
             raise ConfigError(
                 f"{self.name}: cap of {self.cap_bps / 1000:g} kbit/s; video takes 20 to 20000"
@@ -200,6 +205,9 @@ class Setup:
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
     deadband: unless `off`, haptic samples are left out while nobody would feel the difference. The
         uplink video gets the room: as a higher rate, or a lower delay (docs/haptics-sample.md).
+    repair: what restores lost frames (docs/link.md#repair): idle slots, with `auto` also pictures
+        left out while the other end reports losses, or nothing. A direction whose frames have no
+        room for it, or whose other end does not know it, goes without in `auto`.
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
         joystick (docs/haptics-controllers.md).
     axes, gripper: what the hand moves: x and y, with 3 also z, with 6 also three rotations; and a
@@ -229,6 +237,7 @@ class Setup:
     radio: RadioProfile | str = NO_RADIO
     radio_delay_ms: float = 0.0
     deadband: Deadband = "off"
+    repair: Repair = "auto"
     hand: HandMode = "direct"
     axes: int = 2
     gripper: bool = False
@@ -266,6 +275,7 @@ class Setup:
                 'take codec = "h264", or leave [rtc] out'
             )
         self._make_room()
+        self._take_repair()
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
         radio = self._named_radio
@@ -330,6 +340,18 @@ class Setup:
                     f"frame, {octets * 8} kbit/s in place of {SAMPLE_OCTETS * 8}: {error}"
                 ) from None
             object.__setattr__(self, name, wider)
+
+    def _take_repair(self) -> None:
+        for name in ("uplink", "downlink"):
+            profile: LinkProfile = getattr(self, name)
+            fits = has_codes(profile)
+            if self.repair == "idle" and not fits:
+                raise ConfigError(
+                    f"repair idle: {name} has no codes for it in frames of {profile.frame_octets} "
+                    f'octets; take "auto" or "off"'
+                )
+            repair = self.repair if fits else "off"
+            object.__setattr__(self, name, replace(profile, repair=repair))
 
     def _check_partner_arm(self) -> None:
         if self.partner_arm == "shared" and self.tasks:

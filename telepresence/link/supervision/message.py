@@ -16,7 +16,8 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from telepresence.link.flows import Flow
-from telepresence.link.profile import LinkProfile
+from telepresence.link.profile import LinkProfile, Repair
+from telepresence.link.repair.reserve import Loss
 
 #: Version of the link's format and of its supervision.
 VERSION = 4
@@ -38,14 +39,24 @@ class Configuration:
         if not 1 <= self.version <= 15:
             raise ConfigError(f"version is {self.version}: it must be from 1 to 15")
 
-    def text(self, *, master: bool) -> str:
-        """Return the text to digest: a line for each profile and flow, master's way out first."""
+    @property
+    def repair(self) -> Repair:
+        """What both directions have of repair; `off` only if neither has any."""
+        modes = {self.transmit.repair, self.receive.repair} - {"off"}
+        return "off" if not modes else "auto" if modes == {"auto"} else "idle"
+
+    def text(self, *, master: bool, repair: bool = True) -> str:
+        """Return the text to digest: a line for each profile and flow, master's way out first.
+
+        repair: False: as where neither profile has any.
+        """
         ways = [(self.transmit, self.transmit_flows), (self.receive, self.receive_flows)]
         lines = []
         for profile, flows in ways if master else reversed(ways):
             lines.append(
                 f"{profile.frame_octets} {profile.insert_octets} {profile.slot_ns} {profile.scid} "
-                f"{profile.vcid} {int(profile.pointer_in_vcid)}\n"
+                f"{profile.vcid} {int(profile.pointer_in_vcid)}"
+                f"{' repair' if repair and profile.repair != 'off' else ''}\n"
             )
             lines += [
                 f"{flow.name} {int(flow.level)} {flow.kind.value} {flow.clock_hz} "
@@ -54,9 +65,9 @@ class Configuration:
             ]
         return "".join(lines)
 
-    def digest(self, *, master: bool) -> int:
+    def digest(self, *, master: bool, repair: bool = True) -> int:
         """Return the CRC-16 of the text, as of the FECF: equal with equal configurations."""
-        return crc_hqx(self.text(master=master).encode(), 0xFFFF)
+        return crc_hqx(self.text(master=master, repair=repair).encode(), 0xFFFF)
 
     def rates_kbps(self) -> tuple[int, int]:
         """Return the rates of whole frames, way out and way in, at most 65535 each."""
@@ -159,6 +170,7 @@ class SupervisionMessage(NamedTuple):
     application: data of the peer's applications has arrived since the contact or the last reset.
     fresh: some has arrived recently. sending: some has been sent recently.
     rates_kbps: of CONFIGURE and REJECT (way out, way in), else zeros.
+    loss: of ALIVE and CONFIRM: what of the peer's frames is lost, else zeros.
     number, echo: of HELLO, 24 bits each, else 0; it has no `heard`.
     """
 
@@ -176,10 +188,12 @@ class SupervisionMessage(NamedTuple):
     rates_kbps: tuple[int, int] = (0, 0)
     number: int = 0
     echo: int = 0
+    loss: Loss = Loss()
 
 
-#: Kinds of messages with rates.
+#: Kinds of messages with rates, and with a loss.
 KINDS_WITH_RATES = (MessageKind.CONFIGURE, MessageKind.REJECT)
+KINDS_WITH_LOSS = (MessageKind.ALIVE, MessageKind.CONFIRM)
 
 
 def pack_message(message: SupervisionMessage) -> bytes:
@@ -196,7 +210,7 @@ def pack_message(message: SupervisionMessage) -> bytes:
         message.boot_id,
         message.heard,
         message.digest,
-        _RATES.pack(*(message.rates_kbps if message.kind in KINDS_WITH_RATES else (0, 0))),
+        _RATES.pack(*(message.rates_kbps if message.kind in KINDS_WITH_RATES else message.loss)),
     )
 
 
@@ -235,6 +249,7 @@ def parse_message(data: bytes) -> SupervisionMessage | None:
         rates_kbps=_RATES.unpack(rest) if known in KINDS_WITH_RATES else (0, 0),
         number=int.from_bytes(number, "big"),
         echo=int.from_bytes(echo, "big"),
+        loss=Loss(*_RATES.unpack(rest)) if known in KINDS_WITH_LOSS else Loss(),
     )
 
 

@@ -1,18 +1,10 @@
-"""What the peer's messages show: whether it matches, hears this end now, and has agreed.
-
-A stream of frames that this end does not follow may be a peer that has restarted, or a stray, an
-old recording, a guess. So this end asks by a HELLO with a number that it has never sent before.
-Only an echo of it makes the stream the peer's (`Supervisor.handle_unknown_sender`).
-They are no signature: who reads both ways can answer as well as the peer.
-"""
+"""What the peer's messages show: whether it matches, hears this end now, and has agreed."""
 
 from enum import Enum, auto
-from random import Random
 from typing import NamedTuple
 
 from telepresence.link.supervision.message import (
     KINDS_WITH_RATES,
-    NUMBER_BITS,
     Configuration,
     LinkState,
     MessageKind,
@@ -22,46 +14,9 @@ from telepresence.link.supervision.message import (
     parse_message,
 )
 
-
-class Proof:
-    """One end's questions and answers.
-
-    seed: of the numbers; nobody else may know it.
-    proven: the stream that is followed has echoed a number.
-    challenge: the number to echo, which came last; 0 without any.
-    response: the number that was echoed last.
-    """
-
-    def __init__(self, seed: int, timing: SupervisionTiming) -> None:
-        self.proven = False
-        self.challenge = self.response = 0
-        self._random = Random(seed)
-        #: A number may be asked for a round trip, and its echo may take another.
-        self._life_ns = timing.round_trip_ns
-        self._number = self._last = 0
-        self._drawn_ns = 0
-
-    def number(self, now_ns: int) -> int:
-        """The number to ask for now."""
-        age_ns = now_ns - self._drawn_ns
-        if not self._number or age_ns >= self._life_ns:
-            self._last = self._number if age_ns < 2 * self._life_ns else 0
-            self._number = 1 + self._random.randrange((1 << NUMBER_BITS) - 1)
-            self._drawn_ns = now_ns
-        return self._number
-
-    def answers(self, echo: int, now_ns: int) -> bool:
-        """Whether `echo` answers a question that is not too old. Each question counts once."""
-        age_ns = now_ns - self._drawn_ns
-        if not echo or not (
-            (echo == self._number and age_ns < 2 * self._life_ns)
-            or (echo == self._last and age_ns < self._life_ns)
-        ):
-            return False
-        self._number = self._last = 0
-        return True
-
-
+#: After so many messages in a row of a peer without repair, this end does without it, too. They
+#: outlast those of a peer with repair that has not met this end yet.
+_PLAIN_MESSAGES = 50
 #: Each missing answer doubles the next wait, up to this factor.
 _LARGEST_TIMEOUT_FACTOR = 32
 
@@ -100,6 +55,7 @@ class Negotiation:
     hears: the peer is heard and says that it hears this end.
     agreed: master and slave have agreed in these two starts.
     refusal: why the peer does not match, or None.
+    repair: both ends restore lost frames, as far as this end knows.
     """
 
     def __init__(
@@ -112,7 +68,12 @@ class Negotiation:
         now_ns: int,
     ) -> None:
         self.version = configuration.version
-        self.digest = configuration.digest(master=master)
+        #: By whether both ends have repair.
+        self._digests = {
+            repair: configuration.digest(master=master, repair=repair) for repair in (False, True)
+        }
+        self.repair = configuration.repair != "off"
+        self._plain_messages = 0
         self.rates_kbps = configuration.rates_kbps()
         self.peer: SupervisionMessage | None = None
         self.peer_boot_id = 0
@@ -132,6 +93,11 @@ class Negotiation:
         self._timeout = 1
         #: The peer's last message but HELLO was a CONFIGURE.
         self._asked = False
+
+    @property
+    def digest(self) -> int:
+        """The digest of what both ends have, as far as this end knows."""
+        return self._digests[self.repair]
 
     def handle_message(self, data: bytes, now_ns: int) -> MessageVerdict:
         """Check twelve octets from a good frame of the peer's stream."""
@@ -244,6 +210,8 @@ class Negotiation:
     def _difference(self, message: SupervisionMessage) -> str:
         """Describe what does not match, as far as the message shows it."""
         fix = "give both ends the same setup"
+        if message.digest in self._digests.values():
+            return 'repair is on at one end only: give both the same, or "auto"'
         if message.kind not in KINDS_WITH_RATES:
             return f"the configuration differs: {fix}"
         here = self._configuration
@@ -273,10 +241,21 @@ class Negotiation:
         if message.master is self._master:
             role = "master" if self._master else "slave"
             return _Mismatch(signature, f"both ends are {role}: start one as the other")
-        if message.digest != self.digest:
+        if message.digest != self.digest and not self._follow_repair(message.digest):
             exact = message.kind in KINDS_WITH_RATES
             return _Mismatch(signature, self._difference(message), exact)
+        self._plain_messages = 0
         return message
+
+    def _follow_repair(self, digest: int) -> bool:
+        """The peer has another digest; return whether it fits now."""
+        if digest == self._digests[True]:
+            # This end did without repair for a peer before.
+            self.repair = True
+        elif digest == self._digests[False] and self._configuration.repair == "auto":
+            self._plain_messages += 1
+            self.repair = self._plain_messages < _PLAIN_MESSAGES
+        return digest == self.digest
 
     def _repeated(self, signature: tuple[int, ...]) -> bool:
         """Whether this is the same as last time; once may be an error that the FECF missed."""

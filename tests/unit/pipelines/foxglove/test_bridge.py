@@ -27,9 +27,9 @@ from pipelines.mission.tmtc_messages import CommandUpdate
 from pipelines.recording.channels import sources_of
 from pipelines.recording.recorded_messages import RecordedPicture, UnitMetadata, unpack
 from pipelines.recording.session_messages import Instants
-from pipelines.session.session_metrics import Event, SessionEvents
+from pipelines.session.session_metrics import Event, SessionNews
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"])
@@ -166,10 +166,10 @@ def test_who_reads_nothing_loses_the_oldest_and_begins_anew(bridge):
 
 def test_metrics_and_events_come_whole_to_who_joins_late(bridge):
     event = Event(number=1, at_us=3, what="link", text="signal")
-    bridge.handle_told(SessionEvents(at_us=5, events=[event], metrics={"a": 1, "b": "x"}), 0)
+    bridge.handle_session(SessionNews(at_us=5, events=[event], figures={"a": 1, "b": "x"}), 0)
     number = joined(bridge)
     bridge.handle_text(number, '{"op":"subscribeParameterUpdates","parameterNames":[]}', 0)
-    bridge.handle_told(SessionEvents(at_us=6, events=[], metrics={"a": 2, "b": "x"}), 0)
+    bridge.handle_session(SessionNews(at_us=6, events=[], figures={"a": 2, "b": "x"}), 0)
     changed = [{"name": "figures.a", "value": 2}]
     assert taken(bridge, number) == [{"op": "parameterValues", "parameters": changed}]
     bridge.handle_text(number, '{"op":"getParameters","parameterNames":["setup.name"],"id":"q"}', 0)

@@ -43,9 +43,9 @@ from pipelines.recording.recorder import TURN_NS, Recorder
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.session.probe import Probe
 from pipelines.session.recording_requests import PartLimits
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 
 SETUP = BUILT_IN["spacejustin"]

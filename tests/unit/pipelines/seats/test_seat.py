@@ -19,9 +19,10 @@ from pipelines.seats.seat import MOST_ACTING, MOST_VIEWERS, PageRequest, Seat, S
 from pipelines.seats.texts import ExerciseRequest, RecordingRequest
 from pipelines.session.access import Role
 from pipelines.session.mission_messages import RobotStatus
+from pipelines.session.session_metrics import Event, SessionNews
 from pipelines.session.session_switch import Order
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -397,23 +398,20 @@ def test_the_heartbeat_comes_ten_times_a_second_and_at_each_change(space):
 
 
 def metrics(number, state="running", **values):
-    events = [{"number": number, "at_us": 1, "what": "link", "text": "x"}]
-    told = {"kind": "figures", "state": state, "figures": values, "events": events, "more": 1}
-    return json.dumps(told).encode()
+    events = [Event(number=number, at_us=1, what="link", text="x")]
+    return SessionNews(at_us=number, state=state, figures=values, events=events)
 
 
 def test_metrics_pass_unchanged_and_who_joins_gets_all_events(space):
     page = space.open(Role.VIEWER)
     assert page.texts("figures") == []
     for number in range(1, 251):
-        space.seat.handle_metrics(metrics(number, **{"processes.selector.selected": "head"}), 0)
+        space.seat.handle_session(metrics(number, **{"processes.selector.selected": "head"}), 0)
     newest = [each["events"][0]["number"] for each in page.texts("figures")]
     assert newest == list(range(243, 251))
     found = {text["kind"]: text for text in map(json.loads, space.open(Role.VIEWER).sent())}
     assert [each["number"] for each in found["figures"]["events"]] == list(range(51, 251))
-    assert (found["state"]["camera"], found["figures"]["more"]) == ("head", 1)
-    with pytest.raises(ProtocolError):
-        space.seat.handle_metrics(b"{}", 0)
+    assert (found["state"]["camera"], found["figures"]["at_us"]) == ("head", 250)
 
 
 def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_session_is_lost(
@@ -422,7 +420,7 @@ def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_sess
     page = ground.open(unread=False)
     for number, holder in enumerate((None, 4), 1):
         told = {"hand.holder": holder, "processes.selector.selected": "head"}
-        ground.seat.handle_metrics(metrics(number, **told), 0)
+        ground.seat.handle_session(metrics(number, **told), 0)
         # The camera is told by its own selector.
         assert ground.seat.camera != "head"
         ground.seat.handle_time(number * NS_PER_S)
@@ -432,7 +430,7 @@ def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_sess
     cases = (("running", "connected", 1), ("running", "refused", 0), ("stopped", "connected", 0))
     for second, (state, told, connected) in enumerate(cases):
         link = {"gateways.space.supervision.state": told}
-        space.seat.handle_metrics(metrics(second + 1, state, **link), 0)
+        space.seat.handle_session(metrics(second + 1, state, **link), 0)
         space.seat.handle_time(second * NS_PER_S)
         assert page.texts("state")[-1]["link"] == ("connected" if connected else "lost")
 

@@ -45,9 +45,9 @@ def example(name):
 @pytest.mark.parametrize("name", sorted(OPTIONS))
 def test_every_option_can_be_in_a_file_and_be_taken_back(site, name):
     words, value = example(name)
-    if name in ("hand", "deadband"):
-        words[1], value = "off" if name == "deadband" else "auto", '"off"'
-        value = value if name == "deadband" else '"auto"'
+    if name in ("hand", "deadband", "repair"):
+        words[1] = "auto" if name == "hand" else "off"
+        value = f'"{words[1]}"'
     by_command = site({}, *words).options
     assert by_command != StreamOptions()
     read = site({"a.toml": f"{name} = {value}\n"})

@@ -16,6 +16,7 @@ cameras = ["wrist", "stereo"]
 radio = "cable"
 radio_delay_ms = 12.5
 deadband = "latency"
+repair = "idle"
 hand = "mediated"
 axes = 2
 gripper = false
@@ -31,6 +32,7 @@ size = "320x240"
 fps = 25
 prefer = "latency"
 stale_after_ms = 250.5
+least_fps = 18
 coded = "160x120"
 codec = "h265"
 
@@ -78,10 +80,22 @@ TABLES = {
 }
 STREAMS = {
     "uplink_video": {"cap_bps": 62_500, "width": 320, "height": 240, "fps": 25}
-    | {"prefer": "latency", "stale_after_ms": 250.5, "coded": (160, 120), "codec": "h265"},
+    | {
+        "prefer": "latency",
+        "stale_after_ms": 250.5,
+        "coded": (160, 120),
+        "codec": "h265",
+        "least_fps": 18,
+    },
     "uplink_voice": {"cap_bps": 6_400, "stale_after_ms": 90},
     "downlink_video": {"cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
-    | {"prefer": "quality", "stale_after_ms": None, "coded": None, "codec": "h264"},
+    | {
+        "prefer": "quality",
+        "stale_after_ms": None,
+        "coded": None,
+        "codec": "h264",
+        "least_fps": 20,
+    },
     "downlink_voice": {"cap_bps": 24_000, "stale_after_ms": None},
 }
 

@@ -10,6 +10,7 @@ from link_supervision_pair import GROUND, SPACE
 from kontur_av.errors import ConfigError
 from telepresence.link.flows import Level, packet_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
+from telepresence.link.repair.reserve import Loss
 from telepresence.link.supervision.message import (
     Configuration,
     LinkState,
@@ -34,12 +35,15 @@ MESSAGES = st.builds(
     *(st.integers(1, 65535), words, words),
     st.tuples(words, words),
     *([st.integers(0, (1 << 24) - 1)] * 2),
+    st.builds(Loss, words, words),
 )
 
 
 def told(message):
     """What its kind tells of a message."""
     rates = message.kind in (MessageKind.CONFIGURE, MessageKind.REJECT)
+    if message.kind not in (MessageKind.ALIVE, MessageKind.CONFIRM):
+        message = message._replace(loss=Loss())
     if message.kind is MessageKind.HELLO:
         return message._replace(heard=0, rates_kbps=(0, 0))
     message = message._replace(number=0, echo=0)

@@ -1,0 +1,74 @@
+"""What repair does at one end of the link: it measures losses, and keeps a reserve. A core."""
+
+from telepresence.link.link_metrics import RepairSentMetrics
+from telepresence.link.receiver import LinkReceiver
+from telepresence.link.repair.reserve import PARTS, Growth, Loss, Reserve
+from telepresence.link.sender import LinkSender
+
+
+class EndRepair:
+    """Joins sender and receiver of one end.
+
+    on: both ends have repair; `set` changes it.
+    """
+
+    def __init__(self, sender: LinkSender, receiver: LinkReceiver) -> None:
+        self._sender, self._receiver = sender, receiver
+        self._reserve = Reserve()
+        self._received, self._sent = Growth(), Growth()
+        self._reported = Loss()
+        self.on = True
+
+    @property
+    def leave_out(self) -> int:
+        """One picture of so many is to be left out; 0: none."""
+        return self._reserve.kept.leave_out
+
+    def set(self, on: bool) -> None:
+        """Whether both ends have repair."""
+        if on != self.on:
+            self.on = on
+            self._sender.set_repair(on)
+            self._receiver.set_repair(on)
+            self._use(Reserve())
+
+    def measure(self, now_ns: int) -> Loss:
+        """Return what of the peer's frames is lost, for the peer."""
+        repair = self._receiver.repair
+        if repair is None:
+            return Loss()
+        frames = self._receiver.frames_received
+        return Loss.of(*self._received.since(now_ns, frames, *repair.losses))
+
+    def handle_loss(self, loss: Loss | None, now_ns: int) -> None:
+        """The peer reports what of this end's frames is lost; None: it says nothing."""
+        sender = self._sender
+        if loss is None or sender.repair is None or sender.profile.repair != "auto":
+            return
+        self._reported = loss
+        octets, frames = self._sent.since(now_ns, sender.idle_octets, sender.frames_sent)
+        idle_share = octets / max(1, frames * sender.profile.packet_zone_octets)
+        self._reserve.handle_loss(loss, idle_share, now_ns)
+        self._use(self._reserve)
+
+    def _use(self, reserve: Reserve) -> None:
+        self._reserve = reserve
+        self._sender.reserve = reserve.kept
+
+    def report(self) -> RepairSentMetrics | None:
+        """Return what this end sends for repair, and why; None where the setup has no repair."""
+        if self._sender.profile.repair == "off":
+            return None
+        if not self.on:
+            mode, why = "off", "the other end does not know it"
+        elif self._reserve.active:
+            mode, why = "reserve", "the other end reports losses"
+        else:
+            mode, why = "idle", "no loss is reported"
+        return RepairSentMetrics(
+            mode=mode,
+            why=why,
+            **self._reserve.kept._asdict(),
+            lost=self._reported.lost / PARTS,
+            torn=self._reported.torn / PARTS,
+        )

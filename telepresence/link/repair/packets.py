@@ -1,0 +1,184 @@
+"""Whole packets of a stream of which some zones come late or never. No I/O, no clock.
+
+A lost zone delays only the packets that it touches:
+
+    zones      read ................ [lost] zone zone [lost] zone zone zone
+    settled    ------------------->|
+    ahead      ------------------------------------------------------------->
+
+`settled` reads in order up to the oldest zone that may still be restored. `ahead` reads all that
+came, with lost zones as losses. When a zone is restored, everything behind `settled` is read again,
+so each header meets the contexts that its sender assumed. A packet is known by its place in the
+stream, so it is handed on once.
+"""
+
+from telepresence.link.flows import FlowKind, Level
+from telepresence.link.frame import Pointers
+from telepresence.link.link_metrics import RepairMetrics
+from telepresence.link.profile import LinkProfile
+from telepresence.link.reassembly import PLACE_SHIFT, PacketReassembly
+from telepresence.link.repair.codes import WINDOW
+from telepresence.link.repair.decoder import RepairDecoder, Restored
+from telepresence.link.repair.symbols import Content, Symbols
+
+#: Voice that comes later than this is of no use, and late packets raise the playout delay.
+VOICE_LATE_NS = 10_000_000
+#: A slot without packets.
+_NOTHING = ()
+
+
+class RepairedPackets:
+    """Call `handle_zone` or `handle_lost` for every slot, in order; `settle` at a break.
+
+    settled: the stream's reassembly, which hands on all packets. While no zone is lost, it is the
+    only one.
+    """
+
+    def __init__(self, profile: LinkProfile, settled: PacketReassembly) -> None:
+        self._symbols = Symbols(profile)
+        self._supervision = Pointers(profile).supervision
+        self._decoder = RepairDecoder(profile)
+        self._settled = settled
+        self._ahead: PacketReassembly | None = None
+        #: From the oldest zone that may be restored on: pointer and zone; None: lost.
+        self._zones: dict[int, Content | tuple[()] | None] = {}
+        #: When they came, or were missed.
+        self._came_ns: dict[int, int] = {}
+        flows = settled.flows
+        self._ordered, self._voice = (
+            [flow.kind is FlowKind.RTP and flow.level is level for flow in flows]
+            for level in (Level.VIDEO, Level.VOICE)
+        )
+        #: By flow: place of the newest packet, and its RTP sequence number; -1 without one.
+        self._newest = [-1] * len(flows)
+        self._sequences = [-1] * len(flows)
+        #: Places of the packets that were handed on since a zone is lost.
+        self._handed_on: set[int] = set()
+        self._late = self._packets = self._torn = self._wait_max_ns = 0
+        self._anew = False
+        settled.hand_on = self._hand_on
+
+    def handle_zone(self, pointer: int, zone: bytes, count: int, now_ns: int) -> None:
+        """The frame of the slot came."""
+        restored = self._decoder.handle_zone(count, pointer, zone)
+        ahead = self._ahead
+        if self._symbols.is_repair(pointer, zone):
+            content: Content | tuple[()] = _NOTHING
+        elif ahead is None:
+            self._settled.handle_zone(pointer, zone, count, now_ns)
+            return
+        elif pointer == self._supervision:
+            # It is read at once, and once.
+            self._settled.handle_zone(pointer, zone, count, now_ns)
+            content = _NOTHING
+        else:
+            content = pointer, zone
+        if ahead is None:
+            return
+        self._zones[count], self._came_ns[count] = content, now_ns
+        if restored:
+            self._read_again(restored, now_ns)
+        elif content:
+            ahead.handle_zone(pointer, zone, count, now_ns)
+        self._settle(now_ns)
+
+    def handle_lost(self, first: int, number: int, now_ns: int) -> None:
+        """The frames of `number` slots from `first` on did not come."""
+        if number >= WINDOW:
+            self.give_up(now_ns)
+            self._settled.drop_incomplete()
+            return
+        if self._ahead is None:
+            self._ahead = self._settled.fork(self._hand_on_ahead)
+        self._ahead.drop_incomplete()
+        for count in range(first, first + number):
+            self._decoder.handle_lost(count)
+            self._zones[count], self._came_ns[count] = None, now_ns
+        self._settle(now_ns)
+
+    def give_up(self, now_ns: int) -> None:
+        """The stream breaks off: restore nothing more, and read all that came."""
+        self._decoder.restart()
+        self._settle(now_ns)
+        self._newest = [-1] * len(self._newest)
+        self._sequences = [-1] * len(self._sequences)
+
+    def _read_again(self, restored: Restored, now_ns: int) -> None:
+        for count, content in restored:
+            self._zones[count] = content or _NOTHING
+            self._wait_max_ns = max(self._wait_max_ns, now_ns - self._came_ns[count])
+        self._anew = True
+        ahead = self._ahead = self._settled.fork(self._hand_on_ahead)
+        for count, zone in self._zones.items():
+            _read(ahead, zone, count, now_ns)
+        self._anew = False
+
+    def _settle(self, now_ns: int) -> None:
+        """Read on up to the oldest zone that may still be restored."""
+        zones, lost = self._zones, self._decoder.lost
+        while zones:
+            count, content = next(iter(zones.items()))
+            if content is None and count in lost:
+                return
+            before = self._settled.dropped.get("incomplete", 0)
+            _read(self._settled, content, count, now_ns)
+            if content is None:
+                self._torn += self._settled.dropped.get("incomplete", 0) - before
+            del zones[count], self._came_ns[count]
+        self._ahead = None
+        self._handed_on.clear()
+
+    def _hand_on_ahead(self, place: int, number: int, packet: bytes, now_ns: int) -> None:
+        if self._ordered[number]:
+            last, sequence = self._sequences[number], packet[2] << 8 | packet[3]
+            if last >= 0 and sequence - last & 0xFFFF != 1:
+                # One before it may be restored.
+                return
+        self._hand_on(place, number, packet, now_ns)
+
+    def _hand_on(self, place: int, number: int, packet: bytes, now_ns: int) -> None:
+        if self._ahead is not None:
+            if place in self._handed_on:
+                return
+            self._handed_on.add(place)
+            if self._is_late(place, number, now_ns):
+                self._late += 1
+                return
+            self._packets += self._anew
+        self._newest[number] = place
+        if self._ordered[number]:
+            self._sequences[number] = packet[2] << 8 | packet[3]
+        self._settled.take(place, number, packet, now_ns)
+
+    def _is_late(self, place: int, number: int, now_ns: int) -> bool:
+        """Whether a packet is of no use: newer ones of its flow came, or voice has been played."""
+        if not self._voice[number]:
+            return place < self._newest[number]
+        came_ns = self._came_ns.get(place >> PLACE_SHIFT, now_ns)
+        return now_ns - came_ns > VOICE_LATE_NS
+
+    @property
+    def losses(self) -> tuple[int, int]:
+        """Zones lost, but for gaps as long as the window; and packets torn by zones given up."""
+        decoder = self._decoder
+        return decoder.restored + decoder.given_up + len(decoder.lost), self._torn
+
+    def report(self) -> RepairMetrics:
+        decoder = self._decoder
+        return RepairMetrics(
+            zones=decoder.restored,
+            given_up=decoder.given_up,
+            contradictions=decoder.contradictions,
+            packets=self._packets,
+            late=self._late,
+            wait_max_ns=self._wait_max_ns,
+        )
+
+
+def _read(
+    packets: PacketReassembly, content: Content | tuple[()] | None, count: int, now_ns: int
+) -> None:
+    if content is None:
+        packets.drop_incomplete()
+    elif content:
+        packets.handle_zone(*content, count, now_ns)
