@@ -10,6 +10,7 @@ from kontur_av.clock import NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.rtp.nal_formats import H264
+from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.foxglove import protocol
 from pipelines.foxglove.client import Client, LiveVideo
 from pipelines.foxglove.protocol import (
@@ -19,6 +20,7 @@ from pipelines.foxglove.protocol import (
     service_failure,
     service_response,
 )
+from pipelines.hand.haptic_trace import HapticBlock
 from pipelines.mission.choosing import CAMERA, SELECT
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
 from pipelines.recording.camera_coder import CameraCoder
@@ -27,7 +29,6 @@ from pipelines.recording.channels import (
     LOG_LINES,
     SESSION_METRICS,
     ChannelRow,
-    Content,
     Source,
     channels_of,
     sources_of,
@@ -172,12 +173,10 @@ class Bridge:
         self._videos = {
             source.topic: LiveVideo(source, self._messages, self._clients)
             for source in self._sources
-            if source.content is Content.UNIT
+            if source.topic.type is CodedUnit
         }
         self._coders = {
-            source.channels[0]: CameraCoder()
-            for source in self._sources
-            if source.content is Content.CAMERA
+            source.channels[0]: CameraCoder() for source in self._sources if source.is_camera
         }
         self._coded = count(1)
         self._events: deque[Sequence[ChannelMessage]] = deque(maxlen=_KEPT_EVENTS)
@@ -282,10 +281,10 @@ class Bridge:
         """What is to be read now: all units, so that a client can begin; else what is read."""
         for source in self._sources:
             channels = set(source.channels)
-            if source.content is Content.HAPTICS:
+            if source.topic.type is HapticBlock:
                 # Touches are found there.
                 channels |= {EVENTS, LOG_LINES}
-            if source.content is Content.UNIT or self._reads(channels):
+            if source.topic.type is CodedUnit or self._reads(channels):
                 yield source
 
     def _reads(self, channels: set[str]) -> bool:
@@ -307,7 +306,7 @@ class Bridge:
         self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
     ) -> None:
         """A sample of a topic, other than a camera's."""
-        unit = source.topic.unpack(octets) if source.content is Content.UNIT else None
+        unit = source.topic.unpack(octets) if source.topic.type is CodedUnit else None
         if unit is None or not unit.added:
             missed = self._numbers.handle_sample(source.topic, stamp.sequence)
             for channel in source.channels if missed else ():

@@ -18,7 +18,7 @@ from pipelines.media.following import SELECTED_TOPIC
 from pipelines.mission.tmtc_messages import TMTC_TOPICS, CommandUpdate
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.recording.camera_reader import CameraReader
-from pipelines.recording.channels import Content, Source, sources_of
+from pipelines.recording.channels import Source, sources_of
 from pipelines.recording.session_messages import Instants
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.session.access import AccessError, AccessKind, Found, Role
@@ -168,14 +168,12 @@ class _Topics:
     def __init__(self, context: Context, bus: TopicBus, bridge: Bridge) -> None:
         self._bus, self._bridge = bus, bridge
         topology = context.topology
-        self._sources = [
-            source for source in sources_of(topology) if source.content is not Content.CAMERA
-        ]
+        self._sources = [source for source in sources_of(topology) if not source.is_camera]
         self._readers: dict[str, Reader] = {}
         self._cameras = [
             CameraReader(bus, source, bridge.coder(source))
             for source in sources_of(topology)
-            if source.content is Content.CAMERA
+            if source.is_camera
         ]
         self._carried: Mapping[str, tuple[str, ...]] = {
             camera.name: camera.inputs for camera in topology.cameras

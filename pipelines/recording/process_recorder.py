@@ -17,7 +17,7 @@ from kontur_av.metrics import plus
 from pipelines.media.following import SELECTED_TOPIC
 from pipelines.recording import part_files
 from pipelines.recording.camera_reader import CameraReader
-from pipelines.recording.channels import Content, sources_of
+from pipelines.recording.channels import sources_of
 from pipelines.recording.metadata import RecordingMetadata
 from pipelines.recording.recorded_messages import RecordedEvent
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
@@ -186,14 +186,14 @@ class _Recording:
         self._readers = [
             (source, self._bus.reader(source.topic, depth=_DEPTH))
             for source in sources
-            if source.content is not Content.CAMERA
+            if not source.is_camera
         ]
         self._selected = TopicReader(self._bus, SELECTED_TOPIC)
         whole = setup.recorded_cameras == "all"
         self._cameras = [
             CameraReader(self._bus, source, self._recorder.coder(source), whole=whole)
             for source in sources
-            if source.content is Content.CAMERA
+            if source.is_camera
         ]
         self._carried = {camera.name: camera.inputs for camera in topology.cameras}
         self._follow(setup.cameras[0])

@@ -15,7 +15,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.media.joined_units import JoinedSequence, StreamUnit
 from pipelines.recording.camera_coder import CameraCoder
-from pipelines.recording.channels import RECORDER_LOSSES, Content, Source, channels_of
+from pipelines.recording.channels import RECORDER_LOSSES, Source, channels_of
 from pipelines.recording.metadata import RecordingMetadata
 from pipelines.recording.part_streams import ChannelCounts, PartStreams
 from pipelines.recording.recorded_messages import ChannelLoss, RecordedEvent, RecorderLosses, pack
@@ -108,7 +108,7 @@ class Recorder:
             # A topic gives a new reader its newest sample. That may be from the recording before:
             # those since then were counted, and not published.
             return
-        unit = source.topic.unpack(octets) if source.content is Content.UNIT else None
+        unit = source.topic.unpack(octets) if source.topic.type is CodedUnit else None
         if unit is None or not unit.added:
             missed = self._sample_numbers.handle_sample(source.topic, stamp.sequence)
             for channel in source.channels:

@@ -15,7 +15,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JoystickStatus
-from pipelines.hand.haptic_trace import rows_of
+from pipelines.hand.haptic_trace import HapticBlock, rows_of
 from pipelines.media.joined_units import JoinedSequence, StreamUnit
 from pipelines.mission.tmtc_messages import K2aciArrived, TmtcNews
 from pipelines.ros2.publications import (
@@ -25,7 +25,6 @@ from pipelines.ros2.publications import (
     POSE,
     TWIST,
     Publication,
-    RosContent,
     RosSource,
 )
 from pipelines.ros2.ros_messages import RosMessages
@@ -135,7 +134,7 @@ class OutgoingMessages:
     ) -> Iterator[Outbound]:
         """Yield the messages of any other sample. wanted: publications that have subscribers."""
         chosen = [publication for publication in source.publications if publication in wanted]
-        unit = source.topic.unpack(octets) if source.content is RosContent.UNIT else None
+        unit = source.topic.unpack(octets) if source.is_coded else None
         if unit is not None and not chosen:
             self._numbers.forget(source.topic)
         elif unit is not None and unit.added:
@@ -149,9 +148,9 @@ class OutgoingMessages:
                 message = self._messages.video(each.data, source.name, at_ns, codec)
                 for publication in source.publications:
                     yield Outbound(publication, message)
-        elif source.content is RosContent.HAPTICS:
+        elif source.topic.type is HapticBlock:
             yield from self._haptics(source, octets, chosen)
-        elif source.content is RosContent.JOYSTICK:
+        elif source.topic.type is JoystickStatus:
             status: JoystickStatus = source.topic.unpack(octets)
             self._halves = {"x": status.half_width_m, "y": status.half_height_m}
             self._halves |= {axis.name: axis.half_range for axis in status.axes}

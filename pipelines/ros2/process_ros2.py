@@ -19,6 +19,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.metrics import Newest
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import ROS2_HAND_TOPIC
+from pipelines.hand.haptic_trace import HapticBlock
 from pipelines.ros2.hand import Ros2Hand
 from pipelines.ros2.outgoing import Outbound, OutgoingMessages
 from pipelines.ros2.publications import (
@@ -32,7 +33,6 @@ from pipelines.ros2.publications import (
     Endpoint,
     Node,
     Publication,
-    RosContent,
     RosQuality,
     RosSource,
     gid_of,
@@ -153,7 +153,7 @@ class _Ros2Process:
         self._readers = {
             source: bus.reader(source.topic, depth=_DEPTH)
             for source in self._sources
-            if source.content is RosContent.NEWS
+            if not source.publications
         }
         #: Those whose pictures have subscribers.
         self._pictured: list[RosSource] = []
@@ -216,7 +216,7 @@ class _Ros2Process:
             )
             for source in self._sources
             for publication in source.publications
-            if source.content is RosContent.UNIT
+            if source.is_coded
         }
         if ROS2_HAND_TOPIC not in topology.process(ROS2).writes:
             return
@@ -248,16 +248,16 @@ class _Ros2Process:
         self._pictured = []
         for source in self._sources:
             wanted = self._wanted.intersection(source.publications)
-            picture = source.content is RosContent.PICTURE
+            picture = source.is_picture
             if wanted and picture:
                 self._pictured.append(source)
             if wanted and source not in self._readers:
                 self._messages.handle_joined(source)
                 depth = 1 if picture else _DEPTH
                 self._readers[source] = self._bus.reader(source.topic, depth=depth)
-            elif not wanted and source in self._readers and source.content is not RosContent.NEWS:
+            elif not wanted and source in self._readers and source.publications:
                 self._readers.pop(source).close()
-            if source.content is RosContent.UNIT and (source in self._joined or wanted - before):
+            if source.is_coded and (source in self._joined or wanted - before):
                 self._messages.handle_subscriber(source, now_ns)
         # A subscription may come a little after its token: it is heeded at the next look.
         self._joined = set()
@@ -268,12 +268,12 @@ class _Ros2Process:
 
     def _read(self, now_ns: int) -> None:
         for source, reader in self._readers.items():
-            if source.content is RosContent.PICTURE:
+            if source.is_picture:
                 continue
-            if source.content is RosContent.UNIT and self._messages.poll_ask(source, now_ns):
+            if source.is_coded and self._messages.poll_ask(source, now_ns):
                 reader.rejoin()
             # Of haptics no more are published at once than a subscriber keeps, too.
-            most = KEPT if source.content is RosContent.HAPTICS else _DEPTH
+            most = KEPT if source.topic.type is HapticBlock else _DEPTH
             samples: deque[tuple[bytes, CaptureStamp]] = deque(maxlen=most)
             for _ in range(_DEPTH):
                 if (lease := reader.next()) is None:

@@ -22,7 +22,7 @@ from pipelines.link.gateway_end import GatewayEnd
 from pipelines.media.joined_units import MOST_KEPT_NS
 from pipelines.media.key_picture_maker import key_of
 from pipelines.recording.camera_reader import CameraReader
-from pipelines.recording.channels import Content, sources_of
+from pipelines.recording.channels import sources_of
 from pipelines.recording.mcap_stream import MAGIC
 from pipelines.recording.metadata import METADATA, RecordingMetadata
 from pipelines.recording.part_streams import RETRY_NS
@@ -404,7 +404,7 @@ def test_cameras_are_coded_cheaply_or_whole_as_the_setup_wants(cameras, kept, lo
     disk = Disk(topology_of(setup, recorder=True))
     disk.pump(0)
     source = SOURCES["input/head"]
-    assert source.content is Content.CAMERA
+    assert source.is_camera
     camera = Camera()
     reader = CameraReader(camera, source, disk.recorder.coder(source), whole=whole)
     reader.handle_carried(whole)
