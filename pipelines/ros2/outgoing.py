@@ -70,7 +70,7 @@ _JPEG_QUALITY: Final = 80
 #: A camera's pictures are coded ten times a second at most: the last part may be early.
 _PICTURE_NS: Final = 90 * NS_PER_MS
 #: Parts of the report whose figures are diagnostics.
-_TOLD: Final = ("streams", "haptics", "link", "processes")
+_TOLD: Final = ("streams", "haptic", "link", "processes")
 
 
 class Outbound(NamedTuple):
