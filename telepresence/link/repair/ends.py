@@ -7,9 +7,9 @@ from telepresence.link.sender import LinkSender
 
 
 class EndRepair:
-    """Joins sender and receiver of one end.
+    """The repair of one end: what its receiver lost, and what its sender keeps free.
 
-    on: both ends have repair; `set` changes it.
+    on: whether both ends have repair.
     """
 
     def __init__(self, sender: LinkSender, receiver: LinkReceiver) -> None:

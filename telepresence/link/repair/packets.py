@@ -9,7 +9,7 @@ A lost zone delays only the packets that it touches:
 `settled` reads in order up to the oldest zone that may still be restored. `ahead` reads all that
 came, with lost zones as losses. When a zone is restored, everything behind `settled` is read again,
 so each header meets the contexts that its sender assumed. A packet is known by its place in the
-stream, so it is handed on once.
+stream, so it comes out once.
 """
 
 from telepresence.link.flows import FlowKind, Level
@@ -28,10 +28,9 @@ _NOTHING = ()
 
 
 class RepairedPackets:
-    """Call `handle_zone` or `handle_lost` for every slot, in order; `settle` at a break.
+    """Call `handle_zone` or `handle_lost` for every slot, in order; `give_up` at a break.
 
-    settled: the stream's reassembly, which hands on all packets. While no zone is lost, it is the
-    only one.
+    settled: the stream's reassembly; it takes all packets. While no zone is lost, it alone reads.
     """
 
     def __init__(self, profile: LinkProfile, settled: PacketReassembly) -> None:

@@ -1,4 +1,4 @@
-"""Whoever joins a stream in the middle decodes what the live decoder has, from a key picture on."""
+"""Requirement: a decoder that joins in mid-stream shows what one from the beginning shows."""
 
 import numpy as np
 import pytest
