@@ -41,10 +41,14 @@ def run_snapshots(context: Context) -> None:
             now_ns = clock.now_ns()
             context.tick(now_ns)
             schedule.handle_time(now_ns)
-            while (snapshot := schedule.next_event()) is not None:
+            while not context.stopping and (snapshot := schedule.next_event()) is not None:
                 # Join for one picture only, so that no writer publishes for this reader meanwhile.
                 reader = bus.reader(snapshot.topic)
-                reader.wait(NS_PER_S)
+                until_ns = clock.now_ns() + NS_PER_S
+                # At the end of a session there may be no writer left.
+                while not context.stopping and not reader.wait(TIMEOUT_NS):
+                    if clock.now_ns() >= until_ns:
+                        break
                 lease = reader.latest()
                 if lease is not None:
                     with lease:
