@@ -90,17 +90,21 @@ class PeerSocket:
         self.failed, self.why = 0, ""
         self._path = path
         self._clock_ns = clock_ns
-        self._take = path.handle_datagram
+        self._take, self._next = path.handle_datagram, path.next_frame
         self._seal = path.seal
         self._receive_from, self._send_to = self.udp.recvfrom, self.udp.sendto
 
     def frame(self) -> bytes | None:
-        """Take one datagram; return the peer's frame, if it has one."""
+        """Take one datagram; return the peer's next frame, or None."""
         try:
             datagram, source = self._receive_from(_MOST_OCTETS)
         except OSError:
-            return None
+            return self._next(self._clock_ns())
         return self._take(datagram, source, self._clock_ns())
+
+    def next_frame(self) -> bytes | None:
+        """Return the peer's next frame, without taking a datagram."""
+        return self._next(self._clock_ns())
 
     def send(self, frame: bytes) -> None:
         sealed = self._seal(frame, self._clock_ns())

@@ -325,11 +325,13 @@ class _GatewayLoop:
             alarm_ns = poll_timeout()
 
     def _fetch_frame(self, now_ns: int) -> None:
-        # One frame a time: a second one is rare, and asking for it costs a system call.
-        frame = self._ports.frame()
+        # One datagram a time: a second one is rare, and asking for it costs a system call.
+        frame, path = self._ports.frame(), self._path
         if frame is None:
             return
         self._end.handle_frame(frame, now_ns)
+        while path is not None and (frame := path.next_frame()) is not None:
+            self._end.handle_frame(frame, now_ns)
         self._deliver()
         slots = self._slots
         if now_ns >= slots.metrics_ns and slots.poll_metrics(now_ns, heard=True):

@@ -329,6 +329,12 @@ class PeerMetrics:
     handshake_datagrams: int = 0
     #: Dropped datagrams by reason: `unknown`, or those of docs/security.md.
     dropped: Mapping[str, int]
+    #: How long frames wait now for one before them that is missing; 0 where none overtake.
+    order_budget_ns: Newest[int] = 0
+    #: Frames that others had overtaken, and that were put back in order.
+    frames_put_back: int = 0
+    #: Frames that came too late for that.
+    frames_too_late: int = 0
     #: The newest 50.
     events: tuple[PeerEvent, ...]
 

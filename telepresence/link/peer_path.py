@@ -6,7 +6,8 @@ at most about one step is taken in a slot. A record takes some µs.
 
 A shell that owns the socket does this:
 
-1. For every datagram: `handle_datagram`; what it returns is a frame.
+1. For every datagram, and once a slot: `handle_datagram` or `next_frame`, then `next_frame` until
+   None; what they return are frames.
 2. For every frame to send: `seal`; what it returns is a datagram and its address.
 3. After each slot's frame: `handle_rest` until it is False; then send `poll_transmit` until None.
 
@@ -21,6 +22,7 @@ from collections import deque
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from telepresence.link.frame import FrameCodec
 from telepresence.link.link_metrics import Address, PeerHistory, PeerMetrics, address_text
+from telepresence.link.path.order import FrameOrder
 from telepresence.link.profile import LinkProfile
 from telepresence.link.protection.channel import (
     REKEY_NS,
@@ -74,17 +76,26 @@ class ProtectedPath:
         self._moves = 0
         self._overflows = 0
         self._put_off = 0
+        self._order = FrameOrder()
 
     def handle_datagram(self, datagram: bytes, source: Address, now_ns: int) -> bytes | None:
-        """Return the frame of a record; what belongs to handshakes waits for `handle_rest`."""
+        """Return the next frame in order; what belongs to handshakes waits for `handle_rest`."""
         if datagram and datagram[0] != RECORD:
             if len(self._waiting) < _MOST_WAITING:
                 self._waiting.append((datagram, source))
             else:
                 self._overflows += 1
             return None
-        # A record without a frame is a sign of life only.
-        return self._channel.handle_datagram(datagram, source, now_ns) or None
+        channel, order = self._channel, self._order
+        frame = channel.handle_datagram(datagram, source, now_ns)
+        if frame is not None:
+            # A record without a frame is a sign of life only.
+            order.handle_record(*channel.place, (frame,) if frame else (), now_ns)
+        return order.poll_frame(now_ns)
+
+    def next_frame(self, now_ns: int) -> bytes | None:
+        """Return a frame that waited for one before it, or came with another one."""
+        return self._order.poll_frame(now_ns)
 
     def seal(self, frame: bytes, now_ns: int) -> tuple[bytes, Address] | None:
         """Return the datagram of a frame and where it goes; None without a session or address."""
@@ -149,6 +160,9 @@ class ProtectedPath:
             taken=metrics.opened,
             handshake_datagrams=metrics.handshake_datagrams,
             dropped=dropped,
+            order_budget_ns=self._order.budget_ns(now_ns),
+            frames_put_back=self._order.put_back,
+            frames_too_late=self._order.too_late,
             events=self._history.events(),
         )
 
@@ -199,6 +213,10 @@ class OpenPath:
             self._heard_ns = now_ns
         self._taken += 1
         return datagram
+
+    def next_frame(self, now_ns: int) -> bytes | None:
+        """No frame waits for another one."""
+        return None
 
     def seal(self, frame: bytes, now_ns: int) -> tuple[bytes, Address] | None:
         """Return the frame and where it goes; None as long as nobody has called."""

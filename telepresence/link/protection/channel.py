@@ -23,6 +23,7 @@ from telepresence.link.protection.datagrams import (
     RecordOpener,
     RecordSealer,
     key_number,
+    sequence_number,
 )
 from telepresence.link.protection.handshake import Address, AttemptFailed, Handshake, KeysAgreed
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
@@ -90,6 +91,7 @@ class ProtectedChannel:
     address: where the peer is; None for an end that waits to be called.
     now_ns: the instant of the start.
     peer_address: where frames go; None as long as it is unknown.
+    place: of the newest record opened: number of its keys, which grows, and sequence number.
     """
 
     def __init__(
@@ -105,6 +107,7 @@ class ProtectedChannel:
     ) -> None:
         self.metrics = ProtectionMetrics()
         self.peer_address = address
+        self.place = (0, 0)
         self._given_address = address
         self._rekey_ns = rekey_ns
         self._rekey_records = rekey_records
@@ -203,6 +206,7 @@ class ProtectedChannel:
             before = opener.records.newest
             frame = opener.records.open(datagram)
             if not isinstance(frame, str):
+                self.place = opener.agreed, sequence_number(datagram)
                 self._handle_genuine(place, now_ns)
                 # Not for a record that was overtaken: it may come from where the peer was before.
                 if opener.records.newest > before and place <= self._newest_used():
@@ -255,7 +259,8 @@ class ProtectedChannel:
 
     def _take_keys(self, event: KeysAgreed, now_ns: int) -> None:
         receive = event.keys.receive
-        opener = _Opener(receive.number, RecordOpener(receive))
+        agreed = self._openers[0].agreed + 1 if self._openers else 1
+        opener = _Opener(receive.number, RecordOpener(receive), agreed)
         in_use = self._openers[1:][max(self._newest_used() - 1, 0) :][:1]
         self._openers = [opener, *self._openers[:1], *in_use]
         self._next_sealer = RecordSealer(event.keys.send)
@@ -276,8 +281,9 @@ class ProtectedChannel:
 
 @dataclass(slots=True)
 class _Opener:
-    """Keys that open records. used: one has come under them."""
+    """Keys that open records. agreed: counts the keys. used: one has come under them."""
 
     number: bytes
     records: RecordOpener
+    agreed: int
     used: bool = False

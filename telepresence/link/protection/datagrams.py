@@ -115,7 +115,7 @@ class RecordOpener:
         looked at and moved only for genuine records, so no forgery moves it.
         """
         head = record[:HEADER_OCTETS]
-        sequence = int.from_bytes(head[1 + KEY_NUMBER_OCTETS :], "big")
+        sequence = sequence_number(record)
         nonce = (self._vector ^ sequence).to_bytes(VECTOR_OCTETS, "big")
         try:
             frame = self._decrypt(nonce, record[HEADER_OCTETS:], head)
@@ -139,6 +139,11 @@ class RecordOpener:
 def key_number(record: bytes) -> bytes:
     """Return the key number of a record, 3 octets."""
     return record[1 : 1 + KEY_NUMBER_OCTETS]
+
+
+def sequence_number(record: bytes) -> int:
+    """Return the sequence number of a record."""
+    return int.from_bytes(record[1 + KEY_NUMBER_OCTETS : HEADER_OCTETS], "big")
 
 
 NONCE_OCTETS = 8
