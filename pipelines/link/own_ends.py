@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import (
     LOOPBACK,
@@ -52,22 +53,27 @@ class PeerPlan:
     """How the only end here reaches the other: it listens at `bind`, or calls `peer`.
 
     segment: of the end. bind: local address; port 0 for any. peer: None for an end that waits to be
-    called. protection: None for a path in the clear.
+    called. protection: None for a path in the clear. batch_ms, compact: how frames go in datagrams.
     """
 
     segment: Segment
     bind: Address
     peer: Address | None
     protection: Protection | None
+    batch_ms: int = 1
+    compact: bool = False
 
 
-def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
-    """Return the core of the path. receive: the profile of the way in."""
+def make_path(
+    plan: PeerPlan, transmit: LinkProfile, receive: LinkProfile, now_ns: int
+) -> "PeerPath":
+    """Return the core of the path. transmit, receive: the profiles of the ways out and in."""
     protection = plan.protection
     if protection is None:
         from telepresence.link.peer_path import OpenPath
 
         return OpenPath(receive, address=plan.peer, now_ns=now_ns)
+    from telepresence.link.path.bundles import Bundling
     from telepresence.link.peer_path import ProtectedPath
 
     return ProtectedPath(
@@ -76,6 +82,9 @@ def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
         secret=secrets.token_bytes(_SECRET_OCTETS),
         address=plan.peer,
         now_ns=now_ns,
+        bundling=Bundling(
+            transmit, receive, plan.batch_ms * NS_PER_MS // transmit.slot_ns, plan.compact
+        ),
     )
 
 
@@ -139,6 +148,8 @@ class PeerSocket:
         return self._path.report(self._clock_ns())
 
 
+#: Slots of which the frames go in one datagram.
+BATCHES_MS = (1, 2, 4)
 _ANY = "0.0.0.0"
 #: What stays visible as long as an end runs with `--insecure`.
 INSECURE = "this path is not protected: anybody on it can read, change and steer"
@@ -148,11 +159,17 @@ def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
     """The end that the options name; None: both run here. ConfigError if it cannot work."""
     if args.end is None:
         why = " is for one end alone: add --end ground or --end space"
-        refuse_options(args, why, "listen", "peer", "key", "identity", "insecure")
+        names = ("listen", "peer", "key", "identity", "insecure", "path_batch_ms")
+        refuse_options(args, why, *names)
         return None
+    batch_ms = 1 if args.path_batch_ms is None else args.path_batch_ms
+    if batch_ms not in BATCHES_MS:
+        raise ConfigError(f"--path-batch-ms {batch_ms}: take 1, 2 or 4")
     segment = Segment(args.end)
     bind, peer = _addresses(args, topology)
-    return PeerPlan(segment=segment, bind=bind, peer=peer, protection=_protection(args))
+    return PeerPlan(
+        segment=segment, bind=bind, peer=peer, protection=_protection(args), batch_ms=batch_ms
+    )
 
 
 def hold_listen_port(plan: PeerPlan) -> None:

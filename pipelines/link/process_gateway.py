@@ -255,7 +255,8 @@ def run_gateway(
     )
     path = None
     if peer is not None:
-        core = make_path(peer, end.gateway.receiver.profile, clock.now_ns())
+        way_out, way_in = end.gateway.sender.profile, end.gateway.receiver.profile
+        core = make_path(peer, way_out, way_in, clock.now_ns())
         path = PeerSocket(core, peer.bind, clock.now_ns)
     session = context.session if publish_backlog else None
     ports = GatewayPorts(topology, segment, end.gateway, addresses, path, session)

@@ -147,7 +147,11 @@ class StreamOptions:
     insecure: bool = _radio(
         "with --end: neither encrypt nor authenticate; on a private network only",
         False,
-        rivals=("key", "identity"),
+        rivals=("key", "identity", "path_batch_ms"),
+    )
+    path_batch_ms: int | None = _radio(
+        "MS  with --end: send the frames of 1 (the default), 2 or 4 ms in one datagram",
+        rivals=("insecure",),
     )
     bypass: bool = _radio(
         "for tests, with both ends here: join the programs directly, past gateways and radio", False

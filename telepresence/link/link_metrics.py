@@ -329,6 +329,12 @@ class PeerMetrics:
     handshake_datagrams: int = 0
     #: Dropped datagrams by reason: `unknown`, or those of docs/security.md.
     dropped: Mapping[str, int]
+    #: Octets of the datagrams sent that have frames, with UDP and IP.
+    octets_sent: int = 0
+    #: Whether a datagram may have several frames on the way out.
+    bundled: Newest[bool] = False
+    #: Whether idle octets are left out on the way out.
+    compact: Newest[bool] = False
     #: How long frames wait now for one before them that is missing; 0 where none overtake.
     order_budget_ns: Newest[int] = 0
     #: Frames that others had overtaken, and that were put back in order.

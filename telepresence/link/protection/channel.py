@@ -20,6 +20,7 @@ from telepresence.link.protection.datagrams import (
     KNOCK,
     OVERHEAD_OCTETS,
     RECORD,
+    RECORDS,
     RecordOpener,
     RecordSealer,
     key_number,
@@ -90,6 +91,8 @@ class ProtectedChannel:
     secret: 32 octets that nobody else knows, drawn anew at each start.
     address: where the peer is; None for an end that waits to be called.
     now_ns: the instant of the start.
+    reads: what this end can read, as of `Agreement`.
+    peer_reads: what both ends can, in this session.
     peer_address: where frames go; None as long as it is unknown.
     place: of the newest record opened: number of its keys, which grows, and sequence number.
     """
@@ -104,6 +107,7 @@ class ProtectedChannel:
         now_ns: int,
         rekey_ns: int = REKEY_NS,
         rekey_records: int = REKEY_RECORDS,
+        reads: int = 0,
     ) -> None:
         self.metrics = ProtectionMetrics()
         self.peer_address = address
@@ -111,10 +115,11 @@ class ProtectedChannel:
         self._given_address = address
         self._rekey_ns = rekey_ns
         self._rekey_records = rekey_records
-        self._handshake = Handshake(key, peer, secret)
+        self._handshake = Handshake(key, peer, secret, reads)
         self._sealer: RecordSealer | None = None
         #: Agreed, but the peer may not have the keys yet.
         self._next_sealer: RecordSealer | None = None
+        self.peer_reads = self._next_reads = 0
         #: Newest first: the newest, those before them, and those in use if they are older still.
         self._openers: list[_Opener] = []
         self._forget_ns: int | None = None
@@ -129,14 +134,17 @@ class ProtectedChannel:
     def protected(self) -> bool:
         return self._sealer is not None
 
-    def seal(self, frame: bytes, now_ns: int) -> bytes | None:
-        """Return the datagram of a frame, for `peer_address`; None without a session or address."""
+    def seal(self, frame: bytes, now_ns: int, kind: int = RECORD) -> bytes | None:
+        """Return the datagram of a frame, for `peer_address`; None without a session or address.
+
+        kind: of another content than a frame, which `peer_reads` allows.
+        """
         sealer = self._sealer
         if sealer is None or self.peer_address is None:
             self.metrics.unsent += 1
             return None
         try:
-            datagram = sealer.seal(frame)
+            datagram = sealer.seal(frame, kind)
         except OverflowError:
             self._sealer = None
             self.metrics.unsent += 1
@@ -149,7 +157,7 @@ class ProtectedChannel:
     def handle_datagram(self, datagram: bytes, source: Address, now_ns: int) -> bytes | None:
         """Return the frame in a datagram; None for one of a handshake, and for a dropped one."""
         kind = datagram[0] if datagram else 0
-        if kind == RECORD:
+        if kind in RECORDS:
             opened = self._open(datagram, source, now_ns)
             if not isinstance(opened, str):
                 self.metrics.opened += 1
@@ -264,6 +272,7 @@ class ProtectedChannel:
         in_use = self._openers[1:][max(self._newest_used() - 1, 0) :][:1]
         self._openers = [opener, *self._openers[:1], *in_use]
         self._next_sealer = RecordSealer(event.keys.send)
+        self._next_reads = event.keys.reads
         if self.peer_address is None:
             self._handle_source(event.source)
         if event.ready:
@@ -274,6 +283,7 @@ class ProtectedChannel:
             return
         self._events.append(SessionBegun(renewed=self._sealer is not None))
         self._sealer, self._next_sealer = self._next_sealer, None
+        self.peer_reads = self._next_reads
         self.metrics.sessions += 1
         self._rekey_due_ns = now_ns + self._rekey_ns
         self._heard_ns = now_ns

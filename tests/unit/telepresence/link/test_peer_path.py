@@ -1,10 +1,13 @@
 """Whose frames are followed without protection; and the slots of a protected path."""
 
+import pytest
 from protected_pair import GROUND_ADDRESS, GROUND_KEY, SPACE_ADDRESS, SPACE_KEY
 
 from pipelines.session.setup.setup_file import BUILT_IN
 from telepresence.link.frame import FrameCodec
+from telepresence.link.path.bundles import Bundling
 from telepresence.link.peer_path import SILENCE_NS, STEP_NS, OpenPath, ProtectedPath
+from telepresence.link.profile import UPLINK
 
 DOWNLINK = BUILT_IN["spacejustin"].downlink
 GOOD = FrameCodec(DOWNLINK).pack_idle(7, None)
@@ -73,7 +76,10 @@ class Pair:
     def deliver(self, sender, datagram, address):
         path = self.paths.get(address)
         if path is not None:
-            self.frames[path] += path.handle_datagram(datagram, sender, self.now_ns) == FRAME
+            frame = path.handle_datagram(datagram, sender, self.now_ns)
+            while frame is not None:
+                self.frames[path] += frame == FRAME
+                frame = path.next_frame(self.now_ns)
 
     def slots(self, number, *, silent=()):
         """silent: paths whose radio sends no frame, because it has lost its signal."""
@@ -143,3 +149,22 @@ def test_a_session_outlives_a_radio_without_a_signal():
         metrics = path.report(pair.now_ns)
         assert (metrics.sessions, metrics.dropped) == (1, {})
         assert pair.frames[path] == frames[path] + 100
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_frames_go_together_if_the_other_end_can_read_them(known):
+    mine = Bundling(UPLINK, UPLINK, batch=4)
+    pair = Pair(bundling=mine)
+    if not known:
+        pair.ground = pair.paths[GROUND_ADDRESS] = pair.path(GROUND_KEY, SPACE_KEY, None)
+    pair.frames = dict.fromkeys(pair.paths.values(), 0)
+    pair.slots(100)
+    before = pair.ground.report(pair.now_ns).taken
+    got = pair.frames[pair.ground]
+    pair.slots(400)
+    space = pair.space.report(pair.now_ns)
+    assert pair.frames[pair.ground] - got == 400
+    assert pair.ground.report(pair.now_ns).taken - before == (100 if known else 400)
+    assert (space.bundled, space.dropped) == (known, {})
+    # UDP and IPv4, protection, frames.
+    assert known == (space.octets_sent / space.sent > 28 + 26 + 100)
