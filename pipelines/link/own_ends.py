@@ -159,7 +159,7 @@ def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
     """The end that the options name; None: both run here. ConfigError if it cannot work."""
     if args.end is None:
         why = " is for one end alone: add --end ground or --end space"
-        names = ("listen", "peer", "key", "identity", "insecure", "path_batch_ms")
+        names = ("listen", "peer", "key", "identity", "insecure", "path_batch_ms", "path")
         refuse_options(args, why, *names)
         return None
     batch_ms = 1 if args.path_batch_ms is None else args.path_batch_ms
@@ -168,7 +168,12 @@ def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
     segment = Segment(args.end)
     bind, peer = _addresses(args, topology)
     return PeerPlan(
-        segment=segment, bind=bind, peer=peer, protection=_protection(args), batch_ms=batch_ms
+        segment=segment,
+        bind=bind,
+        peer=peer,
+        protection=_protection(args),
+        batch_ms=batch_ms,
+        compact=args.path == "compact",
     )
 
 

@@ -147,7 +147,12 @@ class StreamOptions:
     insecure: bool = _radio(
         "with --end: neither encrypt nor authenticate; on a private network only",
         False,
-        rivals=("key", "identity", "path_batch_ms"),
+        rivals=("key", "identity", "path_batch_ms", "path"),
+    )
+    path: Literal["slots", "compact"] | None = _radio(
+        "with --end: one length of datagram for every slot (slots, the default), or leave out what "
+        "is idle (compact), which shows an eavesdropper how much is sent",
+        rivals=("insecure",),
     )
     path_batch_ms: int | None = _radio(
         "MS  with --end: send the frames of 1 (the default), 2 or 4 ms in one datagram",
