@@ -4,7 +4,10 @@ import argparse
 import ipaddress
 import secrets
 import socket
+import threading
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,18 +17,21 @@ from pipelines.session.datagrams import (
     LOOPBACK,
     Address,
     EndAddresses,
+    family_of,
+    host_port,
     is_loopback,
     listen,
     obstacle,
     parse_address,
     reaches,
     resolve,
+    split_address,
 )
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import StreamOptions
 from pipelines.session.topology import Segment, Topology
-from telepresence.link.link_metrics import PeerMetrics
+from telepresence.link.link_metrics import PeerMetrics, address_text
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
@@ -53,13 +59,15 @@ class PeerPlan:
     """How the only end here reaches the other: it listens at `bind`, or calls `peer`.
 
     segment: of the end. bind: local address; port 0 for any. peer: None for an end that waits to be
-    called. protection: None for a path in the clear. batch_ms, compact: how frames go in datagrams.
+    called. host: its name, if it was given by name. protection: None for a path in the clear.
+    batch_ms, compact: how frames go in datagrams.
     """
 
     segment: Segment
     bind: Address
     peer: Address | None
     protection: Protection | None
+    host: str | None = None
     batch_ms: int = 1
     compact: bool = False
 
@@ -94,8 +102,14 @@ class PeerSocket:
     failed, why: datagrams that the system refused, and its reason for the newest.
     """
 
-    def __init__(self, path: "PeerPath", bind: Address, clock_ns: Callable[[], int]) -> None:
-        self.udp = listen(bind)
+    def __init__(self, path: "PeerPath", plan: PeerPlan, clock_ns: Callable[[], int]) -> None:
+        from telepresence.link.peer_path import LookupSchedule
+
+        self.udp = listen(plan.bind)
+        self._version_6 = self.udp.family == socket.AF_INET6
+        self._plan, self._lookups = plan, LookupSchedule()
+        self._looking = threading.Thread()
+        self._found: deque[Address] = deque()
         self.failed, self.why = 0, ""
         self._path = path
         self._clock_ns = clock_ns
@@ -109,6 +123,8 @@ class PeerSocket:
             datagram, source = self._receive_from(_MOST_OCTETS)
         except OSError:
             return self._next(self._clock_ns())
+        if self._version_6:
+            source = host_port(source)
         return self._take(datagram, source, self._clock_ns())
 
     def next_frame(self) -> bytes | None:
@@ -144,13 +160,32 @@ class PeerSocket:
         return worked
 
     def report(self) -> PeerMetrics:
-        """What is known of the path."""
-        return self._path.report(self._clock_ns())
+        """What is known of the path. Call it regularly: it has a silent peer's name looked up."""
+        now_ns, path = self._clock_ns(), self._path
+        if (
+            self._plan.host is not None
+            and not self._looking.is_alive()
+            and self._lookups.poll(path.heard_ns, now_ns)
+        ):
+            # It may take half a minute, and the loop has a millisecond.
+            self._looking = threading.Thread(target=self._look_up, daemon=True)
+            self._looking.start()
+        while self._found:
+            path.handle_address(self._found.popleft(), now_ns)
+        return path.report(now_ns)
+
+    def _look_up(self) -> None:
+        plan = self._plan
+        if plan.host is None or plan.peer is None:
+            return
+        with suppress(OSError, UnicodeError):
+            known = socket.getaddrinfo(plan.host, plan.peer[1], self.udp.family, socket.SOCK_DGRAM)
+            self._found.append(host_port(known[0][4]))
 
 
 #: Slots of which the frames go in one datagram.
 BATCHES_MS = (1, 2, 4)
-_ANY = "0.0.0.0"
+_ANY, _ANY_6 = "0.0.0.0", "::"
 #: What stays visible as long as an end runs with `--insecure`.
 INSECURE = "this path is not protected: anybody on it can read, change and steer"
 
@@ -166,11 +201,12 @@ def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
     if batch_ms not in BATCHES_MS:
         raise ConfigError(f"--path-batch-ms {batch_ms}: take 1, 2 or 4")
     segment = Segment(args.end)
-    bind, peer = _addresses(args, topology)
+    bind, peer, host = _addresses(args, topology)
     return PeerPlan(
         segment=segment,
         bind=bind,
         peer=peer,
+        host=host,
         protection=_protection(args),
         batch_ms=batch_ms,
         compact=args.path == "compact",
@@ -186,9 +222,9 @@ def hold_listen_port(plan: PeerPlan) -> None:
 def path_line(plan: PeerPlan) -> str:
     """How this end reaches the other, in one line for people."""
     where = (
-        f"listens at {plan.bind[0]}:{plan.bind[1]}"
+        f"listens at {address_text(plan.bind)}"
         if plan.peer is None
-        else f"calls {plan.peer[0]}:{plan.peer[1]}"
+        else f"calls {address_text(plan.peer)}"
     )
     protection = plan.protection
     if protection is None:
@@ -196,25 +232,44 @@ def path_line(plan: PeerPlan) -> str:
     return f"{plan.segment.value} end {where}; it trusts {protection.peer} only"
 
 
-def _addresses(args: StreamOptions, topology: Topology) -> tuple[Address, Address | None]:
+def _addresses(
+    args: StreamOptions, topology: Topology
+) -> tuple[Address, Address | None, str | None]:
+    """Where this end is, where the other one, and by which name."""
     if args.listen is not None:
-        return _listen_address(args.listen, topology), None
+        return _listen_address(args.listen, topology), None, None
     if args.peer is None:
         raise ConfigError(
             f"--end {args.end} needs --listen ADDR:PORT to wait for the other end, "
             "or --peer HOST:PORT to call it"
         )
-    peer = parse_address(args.peer, "--peer", socket.AF_INET)
+    peer = _resolved(args.peer, "--peer")
     check_one_machine("--peer", args.peer, peer[0])
-    why = obstacle(_ANY, peer)
+    bind = _ANY_6 if family_of(peer[0]) == socket.AF_INET6 else _ANY
+    why = obstacle(bind, peer)
     if why is not None:
         raise ConfigError(f"--peer {args.peer} cannot be reached from here: {why}")
-    return (_ANY, 0), peer
+    host, _ = split_address(args.peer, "--peer")
+    return (bind, 0), peer, None if _is_numeric(host) else host
+
+
+def _resolved(text: str, option: str) -> Address:
+    """The address of HOST:PORT: the one of IPv4, if it has both."""
+    try:
+        return parse_address(text, option, socket.AF_INET)
+    except ConfigError:
+        return parse_address(text, option)
+
+
+def _is_numeric(host: str) -> bool:
+    with suppress(ValueError):
+        return bool(ipaddress.ip_address(host))
+    return False
 
 
 def _listen_address(text: str, topology: Topology) -> Address:
-    listen = parse_address(text, "--listen", socket.AF_INET)
-    if listen[0] != _ANY:
+    listen = _resolved(text, "--listen")
+    if listen[0] not in (_ANY, _ANY_6):
         check_one_machine("--listen", text, listen[0])
     # Nobody uses the radio's ports here, because the radio is between two machines.
     radio = [topology.radio_port(segment) for segment in Segment]
@@ -228,8 +283,8 @@ def _listen_address(text: str, topology: Topology) -> Address:
 
 
 def check_one_machine(option: str, text: str, address: str) -> None:
-    """ConfigError for the IPv4 address of no machine, or of many."""
-    host = ipaddress.IPv4Address(address)
+    """ConfigError for the address of no machine, or of many."""
+    host = ipaddress.ip_address(address)
     if host.is_unspecified or host.is_multicast:
         raise ConfigError(f"{option} {text}: give the address of one machine")
 

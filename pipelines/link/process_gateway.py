@@ -257,7 +257,7 @@ def run_gateway(
     if peer is not None:
         way_out, way_in = end.gateway.sender.profile, end.gateway.receiver.profile
         core = make_path(peer, way_out, way_in, clock.now_ns())
-        path = PeerSocket(core, peer.bind, clock.now_ns)
+        path = PeerSocket(core, peer, clock.now_ns)
     session = context.session if publish_backlog else None
     ports = GatewayPorts(topology, segment, end.gateway, addresses, path, session)
     loop = _GatewayLoop(context, end, ports, path)

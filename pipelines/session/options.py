@@ -128,7 +128,8 @@ class StreamOptions:
         "*run this end alone; the other runs on another machine"
     )
     listen: str | None = _radio(
-        "*ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
+        "*ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0, or [::], is "
+        "every address",
         rivals=("peer",),
     )
     peer: str | None = _radio(

@@ -346,8 +346,9 @@ class PeerMetrics:
 
 
 def address_text(address: Address) -> str:
-    """HOST:PORT."""
-    return f"{address[0]}:{address[1]}"
+    """HOST:PORT, or [IPv6]:PORT."""
+    host, port = address
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 @dataclass(slots=True)

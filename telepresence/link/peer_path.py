@@ -49,6 +49,8 @@ _LOOK_NS = 50 * NS_PER_MS
 #: An end that has sent no frame for this long sends a record without one. A radio that has lost its
 #: signal sends none, and neither the peer nor an address translator shall take the end for gone.
 KEEP_ALIVE_NS = 500 * NS_PER_MS
+#: A silent peer's name is looked up after this time, then after twice as long, up to the longest.
+FIRST_LOOKUP_NS, LONGEST_LOOKUP_NS = 4 * NS_PER_S, 64 * NS_PER_S
 
 
 class ProtectedPath:
@@ -127,6 +129,16 @@ class ProtectedPath:
     def next_frame(self, now_ns: int) -> bytes | None:
         """Return a frame that waited for one before it, or came with another one."""
         return self._order.poll_frame(now_ns)
+
+    @property
+    def heard_ns(self) -> int:
+        """When the peer was heard last."""
+        return self._channel.heard_ns
+
+    def handle_address(self, address: Address, now_ns: int) -> None:
+        """The peer's name stands for this address now."""
+        self._channel.handle_address(address)
+        self._history.add(f"name looked up: {address_text(address)}", now_ns)
 
     def seal(self, frame: bytes, now_ns: int) -> tuple[bytes, Address] | None:
         """Return a datagram and where it goes; None without a session or address.
@@ -248,6 +260,24 @@ class ProtectedPath:
                 history.add(f"handshake failed: {event.why}", now_ns)
 
 
+class LookupSchedule:
+    """When the peer's name is looked up again: while it is silent, ever more seldom."""
+
+    def __init__(self) -> None:
+        self._wait_ns, self._due_ns = FIRST_LOOKUP_NS, 0
+
+    def poll(self, heard_ns: int, now_ns: int) -> bool:
+        """Whether to look it up now. heard_ns: when the peer was heard last."""
+        if now_ns - heard_ns < FIRST_LOOKUP_NS:
+            self._wait_ns, self._due_ns = FIRST_LOOKUP_NS, 0
+            return False
+        if now_ns < self._due_ns:
+            return False
+        self._due_ns = now_ns + self._wait_ns
+        self._wait_ns = min(2 * self._wait_ns, LONGEST_LOOKUP_NS)
+        return True
+
+
 SILENCE_NS = NS_PER_S
 
 
@@ -262,7 +292,8 @@ class OpenPath:
         self._octets = receive.frame_octets
         self._fixed = address is not None
         self._address = address
-        self._heard_ns = now_ns
+        #: When the peer was heard last, or the start.
+        self.heard_ns = now_ns
         self._history = PeerHistory(now_ns)
         self._history.add("the path is NOT PROTECTED", now_ns)
         self._session_ns: int | None = None if address is None else 0
@@ -275,7 +306,7 @@ class OpenPath:
             return None
         # The radio may have hit some of its bits, so the peer is not silent.
         if len(datagram) == self._octets:
-            self._heard_ns = now_ns
+            self.heard_ns = now_ns
         self._taken += 1
         return datagram
 
@@ -290,6 +321,11 @@ class OpenPath:
             return None
         self._sent += 1
         return frame, self._address
+
+    def handle_address(self, address: Address, now_ns: int) -> None:
+        """The peer's name stands for this address now."""
+        self._address = address
+        self._history.add(f"name looked up: {address_text(address)}", now_ns)
 
     def handle_rest(self, now_ns: int, until_ns: int) -> bool:
         """There is nothing to do in the rest of a slot."""
@@ -316,7 +352,7 @@ class OpenPath:
 
     def _follow(self, datagram: bytes, source: Address, now_ns: int) -> bool:
         found = self._address is not None
-        if self._fixed or (found and now_ns - self._heard_ns < SILENCE_NS):
+        if self._fixed or (found and now_ns - self.heard_ns < SILENCE_NS):
             return False
         if isinstance(self._codec.parse(datagram), str):
             return False

@@ -124,7 +124,8 @@ class ProtectedChannel:
         self._openers: list[_Opener] = []
         self._forget_ns: int | None = None
         self._rekey_due_ns = 0
-        self._heard_ns = now_ns
+        #: The newest genuine record, or the start.
+        self.heard_ns = now_ns
         self._queue: deque[tuple[bytes, Address]] = deque()
         self._events: deque[ChannelEvent] = deque()
         self._handshake.want(now_ns)
@@ -175,6 +176,12 @@ class ProtectedChannel:
         self._drain(now_ns)
         return None
 
+    def handle_address(self, address: Address) -> None:
+        """The peer may be at another address: it is asked there, too."""
+        self._given_address = address
+        if self._sealer is None:
+            self.peer_address = address
+
     def handle_timeout(self, now_ns: int) -> None:
         """Renew keys, ask a silent peer, and repeat what a handshake has lost."""
         if self._forget_ns is not None and now_ns >= self._forget_ns:
@@ -182,7 +189,7 @@ class ProtectedChannel:
             self._forget_ns = None
         self._handshake.handle_timeout(now_ns)
         self._drain(now_ns)
-        if self._sealer is None or now_ns >= min(self._rekey_due_ns, self._heard_ns + SILENCE_NS):
+        if self._sealer is None or now_ns >= min(self._rekey_due_ns, self.heard_ns + SILENCE_NS):
             self._handshake.want(now_ns)
             self._handshake.handle_timeout(now_ns)
         self._drain(now_ns)
@@ -192,7 +199,7 @@ class ProtectedChannel:
         instants = [self._handshake.poll_timeout(), self._forget_ns]
         if not self._handshake.asking:
             # Without a session all but the first is in the past: ask at once.
-            instants += [self._rekey_due_ns, self._heard_ns + SILENCE_NS]
+            instants += [self._rekey_due_ns, self.heard_ns + SILENCE_NS]
         return min((instant for instant in instants if instant is not None), default=None)
 
     def poll_transmit(self) -> tuple[bytes, Address] | None:
@@ -227,7 +234,7 @@ class ProtectedChannel:
         return reason
 
     def _handle_genuine(self, place: int, now_ns: int) -> None:
-        self._heard_ns = now_ns
+        self.heard_ns = now_ns
         opener = self._openers[place]
         if opener.used:
             if self._handshake.wanted and now_ns < self._rekey_due_ns and self._sealer is not None:
@@ -286,7 +293,7 @@ class ProtectedChannel:
         self.peer_reads = self._next_reads
         self.metrics.sessions += 1
         self._rekey_due_ns = now_ns + self._rekey_ns
-        self._heard_ns = now_ns
+        self.heard_ns = now_ns
 
 
 @dataclass(slots=True)

@@ -155,7 +155,7 @@ REFUSALS = {
         "TASKBOARD --apps 0.0.0.0": "--apps 0.0.0.0: give the address of one",
         "GROUND": "needs --listen ADDR:PORT to wait for the other end, or --peer HOST:PORT",
         "GROUND --peer 127.0.0.1": "--peer '127.0.0.1': write HOST:PORT",
-        "GROUND --peer [::1]:27001": "no IPv4 host",
+        "GROUND --peer [::]:27001": "--peer [::]:27001: give the address of one",
         "GROUND --peer 0.0.0.0:27001": "--peer 0.0.0.0:27001: give the address of one",
         "GROUND --peer 255.255.255.255:27001": "cannot be reached",
         "GROUND --peer 127.0.0.1:1 --listen 127.0.0.1:2": "give one of them",

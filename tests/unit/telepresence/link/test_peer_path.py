@@ -6,7 +6,7 @@ from protected_pair import GROUND_ADDRESS, GROUND_KEY, SPACE_ADDRESS, SPACE_KEY
 from pipelines.session.setup.setup_file import BUILT_IN
 from telepresence.link.frame import FrameCodec
 from telepresence.link.path.bundles import Bundling
-from telepresence.link.peer_path import SILENCE_NS, STEP_NS, OpenPath, ProtectedPath
+from telepresence.link.peer_path import SILENCE_NS, STEP_NS, LookupSchedule, OpenPath, ProtectedPath
 from telepresence.link.profile import UPLINK
 
 DOWNLINK = BUILT_IN["spacejustin"].downlink
@@ -168,3 +168,22 @@ def test_frames_go_together_if_the_other_end_can_read_them(known):
     assert (space.bundled, space.dropped) == (known, {})
     # UDP and IPv4, protection, frames.
     assert known == (space.octets_sent / space.sent > 28 + 26 + 100)
+
+
+def test_a_silent_peers_name_is_looked_up_ever_more_seldom():
+    schedule = LookupSchedule()
+    looked = [s for s in range(300) if schedule.poll(10 * SILENCE_NS, s * SILENCE_NS)]
+    assert looked == [14, 18, 26, 42, 74, 138, 202, 266]
+    assert [schedule.poll(300 * SILENCE_NS, s * SILENCE_NS) for s in (301, 304)] == [False, True]
+
+
+def test_a_peer_that_is_found_at_another_address_is_asked_there():
+    pair = Pair()
+    lost = pair.path(SPACE_KEY, GROUND_KEY, OTHER)
+    pair.space = pair.paths[SPACE_ADDRESS] = lost
+    pair.frames[lost] = 0
+    assert pair.slots(500).space.report(pair.now_ns).sessions == 0
+    lost.handle_address(GROUND_ADDRESS, pair.now_ns)
+    metrics = pair.slots(2500).space.report(pair.now_ns)
+    assert (metrics.sessions, pair.frames[lost] > 1000) == (1, True)
+    assert metrics.events[0].what == "name looked up: 192.0.2.1:27000"
