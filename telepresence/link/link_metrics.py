@@ -46,7 +46,8 @@ class QueueMetrics:
 class RepairSentMetrics:
     """What a sender does so that the other end can restore lost frames."""
 
-    #: `off`, `idle`: in idle slots, or `reserve`: also in slots that are kept for it.
+    #: `off`, `idle`: in idle slots, `reserve`: also in slots that are kept for it, or `waiting`: in
+    #: neither until losses are reported, because the path leaves out what is idle.
     mode: str
     #: The reason for it.
     why: str

@@ -54,11 +54,6 @@ class FramePacker:
         self._frames = self._run = self._due_ns = self._next = 0
         self._complete: deque[bytes] = deque()
 
-    def clear(self) -> None:
-        """Drop what waits."""
-        self._end()
-        self._complete.clear()
-
     def handle_frame(self, frame: bytes, now_ns: int) -> None:
         """Take the frame of a slot."""
         if not self._compact:

@@ -2,16 +2,16 @@
 
 import socket
 
+import pytest
 from common import eventually
 
 from pipelines.link import own_ends
 from pipelines.link.own_ends import PeerPlan, PeerSocket
-from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.topology import Segment
 from telepresence.link.frame import FrameCodec
 from telepresence.link.peer_path import FIRST_LOOKUP_NS, OpenPath
+from telepresence.link.profile import DOWNLINK
 
-DOWNLINK = BUILT_IN["spacejustin"].downlink
 FRAME = FrameCodec(DOWNLINK).pack_idle(7, None)
 
 
@@ -20,31 +20,20 @@ def opened(bind, peer=None, host=None, clock_ns=lambda: 0):
     return PeerSocket(OpenPath(DOWNLINK, address=peer, now_ns=0), plan, clock_ns)
 
 
-def test_frames_go_by_ipv6_and_to_a_listener_of_both_versions():
-    for bind, peer in (("::1", "::1"), ("::", "127.0.0.1")):
-        listener = opened(bind)
-        port = listener.udp.getsockname()[1]
-        caller = opened("::1" if ":" in peer else "127.0.0.1", (peer, port))
-        caller.send(FRAME)
-        eventually(lambda there=listener: there.frame() == FRAME)
-        listener.send(FRAME)
-        eventually(lambda here=caller: here.frame() == FRAME)
-        assert ":" in listener.report().address
-        for end in (listener, caller):
-            end.udp.close()
+@pytest.mark.parametrize(("bind", "host"), [("::1", "::1"), ("::", "127.0.0.1")])
+def test_frames_go_by_ipv6_and_to_a_listener_of_both_versions(bind, host):
+    listener = opened(bind)
+    caller = opened(host, (host, listener.udp.getsockname()[1]))
+    for sender, receiver in ((caller, listener), (listener, caller)):
+        sender.send(FRAME)
+        eventually(lambda there=receiver: there.frame() == FRAME)
+    assert ":" in listener.report().address
 
 
 def test_a_silent_peers_name_is_looked_up_beside_the_loop(monkeypatch):
-    now_ns, asked = [0], []
-
-    def getaddrinfo(*args):
-        asked.append(args)
-        return [(socket.AF_INET, socket.SOCK_DGRAM, 0, "", ("192.0.2.7", args[1]))]
-
-    monkeypatch.setattr(own_ends.socket, "getaddrinfo", getaddrinfo)
+    now_ns, looked_up = [0], [(socket.AF_INET, socket.SOCK_DGRAM, 0, "", ("192.0.2.7", 27000))]
+    monkeypatch.setattr(own_ends.socket, "getaddrinfo", lambda *asked: looked_up)
     end = opened("127.0.0.1", ("192.0.2.1", 27000), "space.example", lambda: now_ns[0])
-    assert end.report().address == "192.0.2.1:27000" and not asked
+    assert end.report().address == "192.0.2.1:27000"
     now_ns[0] = FIRST_LOOKUP_NS
     eventually(lambda: end.report().address == "192.0.2.7:27000")
-    assert asked == [("space.example", 27000, socket.AF_INET, socket.SOCK_DGRAM)]
-    end.udp.close()

@@ -153,21 +153,17 @@ def test_a_session_outlives_a_radio_without_a_signal():
 
 @pytest.mark.parametrize("known", [True, False])
 def test_frames_go_together_if_the_other_end_can_read_them(known):
-    mine = Bundling(UPLINK, UPLINK, batch=4)
-    pair = Pair(bundling=mine)
+    pair = Pair(bundling=Bundling(UPLINK, UPLINK, batch=4))
     if not known:
         pair.ground = pair.paths[GROUND_ADDRESS] = pair.path(GROUND_KEY, SPACE_KEY, None)
-    pair.frames = dict.fromkeys(pair.paths.values(), 0)
-    pair.slots(100)
-    before = pair.ground.report(pair.now_ns).taken
-    got = pair.frames[pair.ground]
+        pair.frames[pair.ground] = 0
+    got = pair.slots(100).frames[pair.ground]
+    taken = pair.ground.report(pair.now_ns).taken
     pair.slots(400)
     space = pair.space.report(pair.now_ns)
     assert pair.frames[pair.ground] - got == 400
-    assert pair.ground.report(pair.now_ns).taken - before == (100 if known else 400)
+    assert pair.ground.report(pair.now_ns).taken - taken == (100 if known else 400)
     assert (space.bundled, space.dropped) == (known, {})
-    # UDP and IPv4, protection, frames.
-    assert known == (space.octets_sent / space.sent > 28 + 26 + 100)
 
 
 def test_a_silent_peers_name_is_looked_up_ever_more_seldom():
@@ -179,11 +175,9 @@ def test_a_silent_peers_name_is_looked_up_ever_more_seldom():
 
 def test_a_peer_that_is_found_at_another_address_is_asked_there():
     pair = Pair()
-    lost = pair.path(SPACE_KEY, GROUND_KEY, OTHER)
-    pair.space = pair.paths[SPACE_ADDRESS] = lost
-    pair.frames[lost] = 0
+    space = pair.space = pair.paths[SPACE_ADDRESS] = pair.path(SPACE_KEY, GROUND_KEY, OTHER)
+    pair.frames[space] = 0
     assert pair.slots(500).space.report(pair.now_ns).sessions == 0
-    lost.handle_address(GROUND_ADDRESS, pair.now_ns)
-    metrics = pair.slots(2500).space.report(pair.now_ns)
-    assert (metrics.sessions, pair.frames[lost] > 1000) == (1, True)
-    assert metrics.events[0].what == "name looked up: 192.0.2.1:27000"
+    space.handle_address(GROUND_ADDRESS, pair.now_ns)
+    assert pair.slots(2500).frames[space] > 1000
+    assert space.report(pair.now_ns).events[0].what == "name looked up: 192.0.2.1:27000"
