@@ -100,7 +100,7 @@ PURE_NAMES = {
 
 #: Modules that a core may import: they compute, and do no I/O.
 PURE = words(
-    "__future__ array base64 binascii bisect collections contextlib dataclasses difflib enum",
+    "__future__ array base64 binascii bisect collections contextlib copy dataclasses difflib enum",
     "fractions functools hashlib heapq hmac html importlib io ipaddress itertools json math",
     "msgspec numpy operator queue random re shlex statistics string struct textwrap tomllib types",
     "typing weakref zlib",

@@ -27,12 +27,19 @@ REAL_TIME = "real time; a simulation takes scene:NAME, a media file or mcap:FILE
 
 
 def simulated(
-    tmp_path_factory, name="spacejustin", *, radio="", down=True, seconds=SECONDS, **options
+    tmp_path_factory,
+    name="spacejustin",
+    *,
+    radio="",
+    down=True,
+    repair="auto",
+    seconds=SECONDS,
+    **options,
 ):
     """Simulate; down: with picture and voice from space, too."""
     path = tmp_path_factory.mktemp("radio") / "radio.toml"
     path.write_text(f"delay_ms = {DELAY_MS}\n{radio}")
-    setup = replace(load_setup(name), radio=load_radio(str(path)))
+    setup = replace(load_setup(name), radio=load_radio(str(path)), repair=repair)
     if not down:
         setup = replace(setup, downlink_video=None, downlink_voice=None)
     return setup, simulate(setup, seconds=seconds, seed=1, **options)
@@ -166,9 +173,11 @@ def test_each_cost_of_coding_is_an_option(tmp_path):
     costs = "--capture-ms 5 --encode-ms 7 --decode-ms 3 --voice-encode-ms 2 --voice-decode-ms 1"
     costs += " --encode-h265-ms 9 --decode-h265-ms 4"
     words = ["simulate", "--setup", "spacejustin", "--seconds", "1", "--deadband", "picture", "-q"]
-    words += costs.split()
+    words += ["--repair", "off", *costs.split()]
     assert main([*words, "--report", str(tmp_path / "r.json")]) == 0
-    streams = json.loads((tmp_path / "r.json").read_text())["streams"]
+    report = json.loads((tmp_path / "r.json").read_text())
+    streams = report["streams"]
+    assert "repair" not in report["link"]["uplink"]["octets"]
     coded = {
         name: one["latency_ms"]["stages"]["capture_to_encoded"] for name, one in streams.items()
     }
@@ -246,7 +255,8 @@ def test_only_sound_waits_for_late_pictures_and_no_longer_than_needed(
 
 
 def test_occasional_losses_count_as_damaged_and_concealed(tmp_path_factory):
-    _, report = simulated(tmp_path_factory, seconds=3.0, radio="frame_loss = 0.01\n", down=False)
+    scene = {"seconds": 3.0, "radio": "frame_loss = 0.01\n", "down": False}
+    _, report = simulated(tmp_path_factory, repair="off", **scene)
     video, voice = (report.streams[name] for name in ("uplink_video", "uplink_voice"))
     assert video.rtp.rtp_lost > 0
     assert 0 < video.display.damaged_ns / NS_PER_MS < 3000
@@ -254,3 +264,5 @@ def test_occasional_losses_count_as_damaged_and_concealed(tmp_path_factory):
     assert voice.display.stale_ns == 0
     # A loss delays nothing.
     assert voice.latency_ms.p99 <= 60
+    _, repaired = simulated(tmp_path_factory, **scene)
+    assert repaired.streams["uplink_video"].rtp.rtp_lost < video.rtp.rtp_lost / 4

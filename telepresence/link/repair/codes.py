@@ -18,7 +18,7 @@ import numpy as np
 from telepresence.link.profile import LinkProfile
 
 #: Slots before a repair zone that it covers.
-WINDOW = 66
+WINDOW = 100
 
 #: Bits of an element, elements of a symbol, and the bits that fill the last octet of a symbol.
 _BITS, _ELEMENTS, _FILL = 10, 10, 4

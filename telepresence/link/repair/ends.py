@@ -2,7 +2,7 @@
 
 from telepresence.link.link_metrics import RepairSentMetrics
 from telepresence.link.receiver import LinkReceiver
-from telepresence.link.repair.reserve import NOTHING, PARTS, Kept, Loss, Recent, Reserve
+from telepresence.link.repair.reserve import NOTHING, PARTS, Growth, Kept, Loss, Reserve
 from telepresence.link.sender import LinkSender
 
 
@@ -17,7 +17,7 @@ class EndRepair:
     def __init__(self, sender: LinkSender, receiver: LinkReceiver) -> None:
         self._sender, self._receiver = sender, receiver
         self._reserve = Reserve()
-        self._received, self._sent = Recent(), Recent()
+        self._received, self._sent = Growth(), Growth()
         self._reported = Loss()
         self.on = True
         self.compact = False
@@ -51,7 +51,7 @@ class EndRepair:
         if repair is None:
             return Loss()
         frames = self._receiver.frames_received
-        return Loss.of(*self._received.growth(now_ns, frames, *repair.losses))
+        return Loss.of(*self._received.since(now_ns, frames, *repair.losses))
 
     def handle_loss(self, loss: Loss | None, now_ns: int) -> None:
         """The peer reports what of this end's frames is lost; None: it says nothing."""
@@ -59,7 +59,7 @@ class EndRepair:
         if loss is None or sender.repair is None:
             return
         self._reported = loss
-        octets, frames = self._sent.growth(now_ns, sender.idle_octets, sender.frames_sent)
+        octets, frames = self._sent.since(now_ns, sender.idle_octets, sender.frames_sent)
         idle_share = octets / max(1, frames * sender.profile.packet_zone_octets)
         self._reserve.handle_loss(loss, idle_share, now_ns)
         self._use(self._reserve)

@@ -53,13 +53,13 @@ class Loss(NamedTuple):
         return cls(*(min(PARTS, -(-PARTS * count // every)) for count in (lost, torn)))
 
 
-class Recent:
+class Growth:
     """How much running totals grew in the last `MEASURED_NS`."""
 
     def __init__(self) -> None:
         self._totals: deque[tuple[int, tuple[int, ...]]] = deque()
 
-    def growth(self, now_ns: int, *totals: int) -> tuple[int, ...]:
+    def since(self, now_ns: int, *totals: int) -> tuple[int, ...]:
         """Take the totals of now; return the growth of each."""
         kept = self._totals
         kept.append((now_ns, totals))

@@ -1,6 +1,6 @@
 """Requirement: a reserve is kept while losses are reported, as much as they ask for."""
 
-from telepresence.link.repair.reserve import Loss, Recent, Reserve
+from telepresence.link.repair.reserve import Growth, Loss, Reserve
 
 S = 1_000_000_000
 
@@ -30,7 +30,7 @@ def test_the_reserve_follows_the_losses():
 
 
 def test_a_loss_is_measured_over_two_seconds_and_never_rounded_to_none():
-    recent = Recent()
-    counts = [recent.growth(second * S, 1000 * second, second // 2) for second in range(6)]
+    growth = Growth()
+    counts = [growth.since(second * S, 1000 * second, second // 2) for second in range(6)]
     assert counts == [(0, 0), (1000, 0), (2000, 1), (2000, 1), (2000, 1), (2000, 1)]
     assert Loss.of(30_000, 1, 0) == Loss(1, 0) and Loss.of(0, 0, 0) == Loss()
