@@ -27,8 +27,10 @@ from pipelines.recording.recorded_messages import SCHEMAS
 from pipelines.recording.schemas import MessageSchema
 from pipelines.report.model import LinkReport, SessionReport
 from pipelines.report.result import Headline
+from pipelines.session.setup.segments import Direction
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import Direction, Topology, tables
+from pipelines.session.topology import tables
+from pipelines.session.topology.table import Topology
 from pipelines.table import topology_of
 
 ROOT = Path(__file__).resolve().parents[1]

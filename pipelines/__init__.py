@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from pipelines.mission.joined_session import GivenInput, JoinedSession, ShownPicture
     from pipelines.session.setup.setup_file import load_setup, setup_from_table
     from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-    from pipelines.session.topology import Topology
+    from pipelines.session.topology.table import Topology
     from pipelines.table import topology_of
 
 __all__ = [

@@ -17,7 +17,8 @@ from pipelines.ros2.rows import process_rows as ros2_room
 from pipelines.seats.rows import process_rows as seats
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import ProcessRow, SessionOptions, Topology
+from pipelines.session.topology.rows import ProcessRow
+from pipelines.session.topology.table import SessionOptions, Topology
 
 #: Within a stage, processes start in the order of the rooms.
 ROOMS: tuple[Callable[[Topology], tuple[ProcessRow, ...]], ...] = (

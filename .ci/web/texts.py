@@ -18,14 +18,18 @@ import msgspec
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from pipelines.report import seat_metrics  # noqa: E402
 from pipelines.seats import texts  # noqa: E402
 from pipelines.session.mission_messages import (  # noqa: E402
     ExperimentShown,
     PanelShown,
     RobotStatus,
 )
-from pipelines.session.session_metrics import Event  # noqa: E402
+from pipelines.session.session_metrics import (  # noqa: E402
+    Event,
+    Figure,
+    ProcessNow,
+    SessionNews,
+)
 from pipelines.session.training import Exercises  # noqa: E402
 from pipelines.study.trials import StudyFrame, StudyShown  # noqa: E402
 
@@ -41,7 +45,7 @@ HEAD = """/**
 SENT: Mapping[type[msgspec.Struct], str] = {
     texts.HelloText: "",
     texts.StateText: "",
-    seat_metrics.SeatMessage: "",
+    SessionNews: "",
     texts.AnswerText: "",
     texts.ChatText: "",
     texts.CommandsText: "",
@@ -63,18 +67,24 @@ NAMES = {
     ExperimentShown: "ExperimentText",
     PanelShown: "PanelText",
     RobotStatus: "RobotText",
-    seat_metrics.SeatDirection: "LinkCounts",
-    seat_metrics.SeatMessage: "FiguresText",
-    seat_metrics.SeatProcess: "ProcessText",
+    SessionNews: "FiguresText",
+    ProcessNow: "ProcessText",
 }
 REQUESTS = (*get_args(texts.SeatRequest), texts.InputRequest)
 #: Unions with a name of their own.
 ALIASES = {
-    "Figure": seat_metrics.Figure,
+    "Figure": Figure,
     "Level": texts.Level,
     "Verb": get_type_hints(texts.CommandRequest)["verb"],
 }
-PLAIN = {bool: "boolean", int: "number", float: "number", str: "string", NoneType: "null"}
+PLAIN = {
+    bool: "boolean",
+    int: "number",
+    float: "number",
+    str: "string",
+    NoneType: "null",
+    msgspec.Raw: "unknown",
+}
 
 
 def texts_js() -> str:

@@ -18,8 +18,10 @@ from pipelines.seats.process_page import run_page
 from pipelines.session.page_sockets import PageHost, PageListener, bind_pages, listeners
 from pipelines.session.process import Context
 from pipelines.session.sessions import hold_session
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import PAGES, Segment, Topology
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import PAGES
 from pipelines.table import topology_of
 
 #: The seat's main picture: the stream of 640x480 that ground control receives.

@@ -15,7 +15,7 @@ from benchmarks.page.views import numbers
 from kontur_av.clock import NS_PER_MS, MonotonicClock
 from kontur_av.topics.bus import Reader, TopicBus
 from pipelines.hand.hand_topics import HAND_INPUT_TOPIC
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device.page import PageInput
 
 _STEP_S = 0.025

@@ -18,7 +18,7 @@ from benchmarks.page.webrtc import serve_webrtc
 from kontur_av.clock import NS_PER_MS
 from pipelines.bench.course.marks import NUMBERS
 from pipelines.report.result import spread
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 
 _WIDTH, _HEIGHT = 820, 1000
 #: Until a window has a picture.

@@ -11,7 +11,7 @@ from kontur_av.media import VideoCodec
 _HEADER = struct.Struct("<BxHHHI")
 _H265 = 16
 #: By the field of the unit.
-_FLAGS = {"key": 1, "damaged": 2, "refused": 4, "dated": 8}
+_FLAGS = {"key": 1, "damaged": 2, "refused": 4, "dated": 8, "added": 32}
 
 #: A larger access unit is not published, so that no peer makes shared memory grow.
 MOST_UNIT_OCTETS = 1 << 20
@@ -30,6 +30,9 @@ class CodedUnit:
     dated: the stamp's `capture_ns` is known. False before the first sender report of a received
         stream; `capture_ns` is 0 then.
     width, height: size of its picture in pixels; 0 if it is refused.
+    added: no unit of the stream, but a key picture for readers that joined. It shows what the unit
+        of the same number shows. A decoder that begins with it goes on with the next number, with
+        `parameter_sets` ahead of that; others pass over it.
     codec: how it is coded.
     parameter_sets: those with which it is decoded, as Annex B, for a reader that has missed
         them: they come with a key picture or a refresh wave only. b"" if they are not known.
@@ -46,6 +49,7 @@ class CodedUnit:
     width: int = 0
     height: int = 0
     parameter_sets: bytes = b""
+    added: bool = False
     codec: VideoCodec = "h264"
 
     def pack(self) -> bytes:

@@ -243,15 +243,26 @@ class Reader:
         self,
         subscriber: Any,
         listener: NotificationListener,
+        joins: Path,
         closed: Callable[["Reader"], None] = lambda _: None,
     ) -> None:
         self._subscriber = subscriber
-        self._closed = closed
+        self._joins, self._closed = joins, closed
         self._wait_set: WaitSet | None = None
         #: For `TopicBus.waiter`.
         self.listener = listener
         #: Samples that `latest` skipped because a newer one was there.
         self.skipped = 0
+        self.rejoin()
+
+    def rejoin(self) -> None:
+        """Let the writer see a reader that joins, because this one has to begin anew."""
+        # Without room there is no count, and the next key picture comes by itself.
+        with (
+            suppress(OSError),
+            os.fdopen(open_own_file(self._joins, os.O_APPEND), "ab") as joins,
+        ):
+            joins.write(b"\0")
 
     def wait(self, timeout_ns: int) -> bool:
         """Wait for a sample; return False if `timeout_ns` passed without one."""
@@ -372,14 +383,9 @@ class TopicBus(Closing):
         except KeyError:
             raise self._no_topic(topic) from None
         listener = NotificationListener(notifier_path(self._session, topic))
-        reader = Reader(subscriber, listener, self._readers.discard)
+        joins = joins_path(self._session, topic)
+        reader = Reader(subscriber, listener, joins, self._readers.discard)
         self._readers.add(reader)
-        # Without room there is no count, and the next key picture comes by itself.
-        with (
-            suppress(OSError),
-            os.fdopen(open_own_file(joins_path(self._session, topic), os.O_APPEND), "ab") as joins,
-        ):
-            joins.write(b"\0")
         return reader
 
     def waiter(self, readers: Sequence[Reader], sockets: Sequence[int] = ()) -> WaitSet:

@@ -13,14 +13,13 @@ from pipelines.link.own_ends import (
     path_line,
 )
 from pipelines.report.collector import Collector
-from pipelines.report.link_report import LinkView, build_link_report, summary_lines
-from pipelines.report.live import LinkScreen
-from pipelines.report.report_file import check_writable, save_report, say_failures
-from pipelines.report.seat_feed import processes_now
-from pipelines.session.launcher import Launcher, launcher_cpu_s
+from pipelines.report.live import link_report_of, link_view
+from pipelines.report.report_file import check_writable, end_report
+from pipelines.session.command_process import say
+from pipelines.session.launcher import Launcher
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_session_options, asked_setup, stream_options
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.tables import ports_table
 from pipelines.table import topology_of
 
@@ -50,15 +49,15 @@ def run(args: argparse.Namespace) -> int:
         hold_listen_port(one)
     held = [hold_link_ports(topology, end, addresses, alone=one is not None) for end in ends]
     collector = Collector(topology)
-    screen = LinkScreen(LinkView(setup, ends), collector, quiet=args.quiet)
-    if one is not None:
-        screen.show_lines([path_line(one)])
-    screen.show_lines(ports_table(topology, ends, addresses.apps_bind, addresses.apps).lines(200))
+    if not args.quiet:
+        table = ports_table(topology, ends, addresses.apps_bind, addresses.apps)
+        say("\n".join([*([] if one is None else [path_line(one)]), *table.lines(200)]))
     given = {
         "addresses": addresses,
         "peer": one,
         "publish_backlog": False,
     }
+    view = link_view(collector, ends, seed=args.seed, quiet=args.quiet)
     launcher = Launcher(
         session="link",
         topology=topology,
@@ -67,23 +66,11 @@ def run(args: argparse.Namespace) -> int:
         clock=MonotonicClock(),
         listener=collector,
         seed=args.seed,
-        show=with_status(screen.show, collector, ends[0]),
+        show=with_status(view.show, collector, ends[0]),
     )
-    launcher.run(args.seconds)
+    with view:
+        launcher.run(args.seconds)
     for udp in held:
         udp.close()
-    report = build_link_report(
-        collector,
-        ends,
-        seconds=launcher.seconds,
-        seed=args.seed,
-        cpu_s=launcher.cpu_s(),
-        restarts={child.row.name: child.restarts for child in launcher.children},
-        launcher_cpu_s=launcher_cpu_s(),
-        processes=processes_now(launcher, most_restarts=0),
-    )
-    saved = save_report(args.report, report)
-    screen.show_lines(summary_lines(report))
-    if args.quiet:
-        say_failures(report.failures)
-    return 1 if report.failures or not saved else 0
+    report = link_report_of(launcher, collector, ends, seed=args.seed)
+    return end_report(report, args.report, quiet=args.quiet)

@@ -13,12 +13,12 @@ from pipelines.report.collector import Collector
 from pipelines.report.event_log import EventLog
 from pipelines.report.model import ReplayReport
 from pipelines.report.report_file import end_report
-from pipelines.report.seat_feed import end_trace, session_report
+from pipelines.report.session_feed import end_trace, session_report
 from pipelines.report.upkeep_now import UPKEEP, ExperimentWatch
 from pipelines.session.kept_files import KeptOrders, NotesReader, SessionNow, write_now
 from pipelines.session.launcher import Launcher
 from pipelines.session.options import StreamOptions
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 from pipelines.upkeep.requests import status_teller
 from telepresence.upkeep.version_stack import status_of
 

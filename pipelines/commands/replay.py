@@ -11,9 +11,10 @@ from pipelines.recording.process_replaying import ReplayStart, replayed_session
 from pipelines.recording.recorded_session import RecordedSession
 from pipelines.recording.replay_setup import load_replay
 from pipelines.report.collector import Collector
-from pipelines.report.live import LiveView
+from pipelines.report.live import session_view
 from pipelines.report.model import ReplayedStream, ReplayReport
 from pipelines.report.report_file import check_writable
+from pipelines.report.session_feed import SessionFeed
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_session_options, stream_options
@@ -65,9 +66,10 @@ def run(args: argparse.Namespace) -> int:
     held = hold_ports(topology)
     load_libraries()
     collector = Collector(topology)
+    feed = SessionFeed(collector)
     with (
         hold_session(setup.name) as session,
-        LiveView(collector, quiet=args.quiet, verbose=args.verbose) as view,
+        session_view(feed, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         launcher = Launcher(
             session=session,
@@ -78,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
             snapshots=snapshots,
             seed=recorded.metadata.seed if args.seed is None else args.seed,
             show=view.show,
+            feed=feed,
         )
         launcher.run(length_ns / NS_PER_S)
     held.close()

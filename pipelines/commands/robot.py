@@ -12,7 +12,7 @@ from pipelines.commands.drive import add_way_arguments, reached
 from pipelines.hand.driver_checks import RobotCheck
 from pipelines.hand.haptic_loop import new_boot_id
 from pipelines.hand.haptics import robot_side
-from pipelines.hand.partner_arm import keep_powered, run_side, told
+from pipelines.hand.partner_arm import PoweredRobot, run_side, told
 from pipelines.hand.safety_ends import within
 from pipelines.hand.timed_calls import timed
 from pipelines.report.report_file import WordsConsole
@@ -63,7 +63,7 @@ def _serve(args: argparse.Namespace) -> int:
     with closing(open_robot(args.robot)) as robot:
         envelope = SafetyEnvelope(within(SafetyLimits(), robot.capabilities))
         side = robot_side(envelope, boot_id=new_boot_id(), robot=robot)
-        watch, recover = keep_powered(robot, envelope)
+        powered = PoweredRobot(robot, envelope)
         began_m, most_m, most_n = (robot.x_m, robot.y_m), 0.0, 0.0
 
         def work(now_ns: int) -> None:
@@ -72,8 +72,8 @@ def _serve(args: argparse.Namespace) -> int:
             if envelope.stopped and command is not None and not command.stop:
                 # Samples without a stop mean that the session in space has released it.
                 envelope.handle_stop_released(now_ns)
-            watch(now_ns)
-            recover(now_ns)
+            powered.watch(now_ns)
+            powered.recover()
             most_m = max(most_m, hypot(robot.x_m - began_m[0], robot.y_m - began_m[1]))
             most_n = max(most_n, hypot(robot.push_x_n, robot.push_y_n))
 

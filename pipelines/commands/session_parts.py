@@ -11,8 +11,10 @@ from pipelines.mission.mission import TaskOptions
 from pipelines.session.datagrams import split_address
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import RtcLeg, Setup
-from pipelines.session.topology import JOYSTICK, PAGES, TASKS, Segment, SessionOptions, Topology
+from pipelines.session.topology.table import SessionOptions, Topology
+from pipelines.session.topology.topics import JOYSTICK, PAGES, TASKS
 from pipelines.table import topology_of
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import (

@@ -30,8 +30,10 @@ from pipelines.session.served_pages import (
     parse_page,
     served,
 )
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import (
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     FILES,
     FOXGLOVE,
     FRAMES,
@@ -40,8 +42,6 @@ from pipelines.session.topology import (
     PAGES,
     ROS2,
     RTC,
-    Segment,
-    Topology,
 )
 from telepresence.haptics.specs import ROS2_HAND
 from telepresence.private_file import read_secret

@@ -22,9 +22,9 @@ from pipelines.commands.session_ways import SessionWays
 from pipelines.link.own_ends import hold_listen_port, path_line
 from pipelines.recording.part_files import clear_parts
 from pipelines.report.collector import Collector
-from pipelines.report.live import LiveView
+from pipelines.report.live import session_view
 from pipelines.report.report_file import check_writable
-from pipelines.report.seat_feed import SeatFeed
+from pipelines.report.session_feed import SessionFeed
 from pipelines.session.command_process import keep_words_apart, print_data, say
 from pipelines.session.kept_files import keep_latch
 from pipelines.session.launcher import Launcher, hold_ports, load_libraries
@@ -32,9 +32,10 @@ from pipelines.session.option_rows import add_options
 from pipelines.session.options import add_grouped_options
 from pipelines.session.recording_requests import write_request
 from pipelines.session.sessions import clear_dead_sessions, hold_session
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.sources import check_room, check_sources, draw_backgrounds
 from pipelines.session.site_file import SiteOptions, blamed, site_options
-from pipelines.session.topology import RECORDER, Segment
+from pipelines.session.topology.topics import RECORDER
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,13 +87,14 @@ def _run(site: SiteOptions, *, dry: bool) -> int:
     clock = MonotonicClock()
     draw_backgrounds(setup, inputs, clock)
     collector = Collector(topology)
+    feed = SessionFeed(collector)
     if end is not None and not args.quiet:
         say(path_line(end))
     peer = {} if end is None else {topology.gateway(end.segment).name: {"peer": end}}
     with (
         hold_session(setup.name, end="" if end is None else end.segment.value) as session,
         ways.opened(session) as (listeners, arguments),
-        LiveView(collector, quiet=args.quiet, verbose=args.verbose) as view,
+        session_view(feed, quiet=args.quiet, verbose=args.verbose) as view,
     ):
         # A stop belongs to the robot: whole sessions and those of the ground have the same.
         here = Segment.GROUND in plan.segments
@@ -102,7 +104,6 @@ def _run(site: SiteOptions, *, dry: bool) -> int:
         if recording is not None:
             clear_parts(Path(recording.file))
             write_request(session, recording)
-        feed = SeatFeed(collector)
         launcher = Launcher(
             session=session,
             topology=topology,

@@ -14,7 +14,7 @@ from pipelines.session.option_rows import add_options
 from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import TASKS
+from pipelines.session.topology.topics import TASKS
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 _CLIENT = "kontur-av task"

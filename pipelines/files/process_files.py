@@ -17,8 +17,9 @@ from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
 from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.requests import RequestServer
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import Segment, maintenance_stream
+from pipelines.session.topology.streams import maintenance_stream
 from pipelines.session.transfer_requests import FileAnswer, FileRequest, socket_name
 from telepresence.files.entity import LARGEST_LISTING, PUT, STORE, DirectoryJob, FileEntity, fenced
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME

@@ -1,6 +1,9 @@
 """The processes that carry files."""
 
-from pipelines.session.topology import FILES, WATCHER_PRIORITY, ProcessRow, Segment, Stage, Topology
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import WATCHER_PRIORITY, ProcessRow, Stage
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import FILES
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

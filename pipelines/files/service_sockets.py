@@ -12,7 +12,8 @@ from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import LOOPBACK, Address, bound_socket, resolve
 from pipelines.session.option_rows import LAST_PORT
 from pipelines.session.options import StreamOptions
-from pipelines.session.topology import FILES, Segment
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import FILES
 from telepresence.services.datagrams import MOST_NAME_OCTETS, is_service_name
 from telepresence.services.streams import ServiceStreams, StreamClosed, StreamOpened
 

@@ -12,7 +12,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.foxglove import protocol
-from pipelines.foxglove.client import Client, KeyAsked, LiveVideo
+from pipelines.foxglove.client import Client, LiveVideo
 from pipelines.foxglove.protocol import (
     ServiceCall,
     ServiceRow,
@@ -20,28 +20,30 @@ from pipelines.foxglove.protocol import (
     service_failure,
     service_response,
 )
+from pipelines.hand.haptic_trace import HapticBlock
 from pipelines.mission.choosing import CAMERA, SELECT
 from pipelines.mission.tmtc_messages import CommandUpdate, SendCommand
+from pipelines.recording.camera_coder import CameraCoder
 from pipelines.recording.channels import (
     EVENTS,
     LOG_LINES,
     SESSION_METRICS,
     ChannelRow,
-    Content,
     Source,
     channels_of,
     sources_of,
 )
-from pipelines.recording.own_pictures import CameraCoder
 from pipelines.recording.recorded_messages import RecordedEvent
 from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecordedChannel
 from pipelines.recording.session_messages import ChannelMessage, Figure, Instants, SessionMessages
 from pipelines.seats.command_client import CommandClient
 from pipelines.seats.texts import CommandRequest
 from pipelines.session.access import VIEWER_WORDS
-from pipelines.session.session_metrics import SampleNumbers, SessionEvents, gathered, nested_values
+from pipelines.session.session_metrics import SampleNumbers, SessionNews, gathered, nested_values
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_text import setup_table
-from pipelines.session.topology import TASKS, Segment, Topology
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import TASKS
 
 _WHO: Final = "foxglove"
 _SELECT_TASK = "/task/select"
@@ -151,7 +153,7 @@ def live_channels(topology: Topology) -> tuple[ChannelRow, ...]:
 class Bridge:
     """All clients of one session.
 
-    Read the topics of `wanted`, and drain `next_event` after each input. Call `handle_time` often.
+    Read the topics of `wanted`. Call `handle_time` often.
 
     session: its name. wall_offset_ns: wall time less the session's clock. boot_id: new at each
     start of the process.
@@ -171,12 +173,10 @@ class Bridge:
         self._videos = {
             source.topic: LiveVideo(source, self._messages, self._clients)
             for source in self._sources
-            if source.content is Content.UNIT
+            if source.topic.type is CodedUnit
         }
         self._coders = {
-            source.channels[0]: CameraCoder()
-            for source in self._sources
-            if source.content is Content.CAMERA
+            source.channels[0]: CameraCoder() for source in self._sources if source.is_camera
         }
         self._coded = count(1)
         self._events: deque[Sequence[ChannelMessage]] = deque(maxlen=_KEPT_EVENTS)
@@ -281,10 +281,10 @@ class Bridge:
         """What is to be read now: all units, so that a client can begin; else what is read."""
         for source in self._sources:
             channels = set(source.channels)
-            if source.content is Content.HAPTICS:
+            if source.topic.type is HapticBlock:
                 # Touches are found there.
                 channels |= {EVENTS, LOG_LINES}
-            if source.content is Content.UNIT or self._reads(channels):
+            if source.topic.type is CodedUnit or self._reads(channels):
                 yield source
 
     def _reads(self, channels: set[str]) -> bool:
@@ -294,10 +294,10 @@ class Bridge:
         """From now on a topic is read."""
         self._numbers.forget(source.topic)
 
-    def lacks_key(self, source: Source, now_ns: int) -> bool:
-        """Whether a client waits for a key picture that only the stream's sender can make."""
+    def poll_ask(self, source: Source, now_ns: int) -> bool:
+        """Return whether to ask a stream's coder for a key picture now."""
         video = self._videos.get(source.topic)
-        return video is not None and video.lacks_key(now_ns)
+        return video is not None and video.poll_ask(now_ns)
 
     def coder(self, source: Source) -> CameraCoder:
         return self._coders[source.channels[0]]
@@ -306,13 +306,15 @@ class Bridge:
         self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
     ) -> None:
         """A sample of a topic, other than a camera's."""
-        missed = self._numbers.handle_sample(source.topic, stamp.sequence)
-        for channel in source.channels if missed else ():
-            self._missed[channel] += missed * sum(
-                client.reads(channel) for client in self._clients.values()
-            )
-        if source.content is Content.UNIT:
-            self._videos[source.topic].handle_unit(CodedUnit.unpack(octets), stamp, at)
+        unit = source.topic.unpack(octets) if source.topic.type is CodedUnit else None
+        if unit is None or not unit.added:
+            missed = self._numbers.handle_sample(source.topic, stamp.sequence)
+            for channel in source.channels if missed else ():
+                self._missed[channel] += missed * sum(
+                    client.reads(channel) for client in self._clients.values()
+                )
+        if unit is not None:
+            self._videos[source.topic].handle_unit(unit, stamp, at)
             return
         if self._reads(set(source.channels)):
             self._put(self._messages.of_sample(source, octets, stamp, at), at.now_ns)
@@ -330,43 +332,30 @@ class Bridge:
             elif client.lacks(message.channel, now_ns):
                 self.coder(source).handle_part()
 
-    def handle_told(self, told: SessionEvents, now_ns: int) -> None:
+    def handle_session(self, news: SessionNews, now_ns: int) -> None:
         """The launcher tells figures, and what happened."""
-        at_ns = told.at_us * NS_PER_US
-        if told.metrics:
-            before, self._metrics, self._metrics_ns = self._metrics, told.metrics, at_ns
-            self._put([self._messages.of_metrics(told.metrics, at_ns, now_ns)], now_ns)
-            changed: dict[str, protocol.Value] = {
-                f"figures.{name}": value
-                for name, value in told.metrics.items()
-                if name not in before or before[name] != value
-            }
-            for client in self._clients.values():
-                client.put_parameters(changed)
-        for event in told.events:
+        at_ns = news.at_us * NS_PER_US
+        before, self._metrics, self._metrics_ns = self._metrics, news.figures, at_ns
+        self._put([self._messages.of_metrics(news.figures, at_ns, now_ns)], now_ns)
+        changed: dict[str, protocol.Value] = {
+            f"figures.{name}": value
+            for name, value in news.figures.items()
+            if name not in before or before[name] != value
+        }
+        for client in self._clients.values():
+            client.put_parameters(changed)
+        for event in news.events:
             recorded = gathered(RecordedEvent, event, session_ns=event.at_us * NS_PER_US)
             self._put_event(recorded, now_ns)
 
-    def handle_key_picture(self, asked: KeyAsked, key: bytes | None, now_ns: int) -> None:
-        """The key picture that `next_event` asked for; None if it could not be made."""
-        for video in self._videos.values():
-            if video.channel == asked.channel:
-                video.handle_made(asked, key, now_ns)
-
     def handle_time(self, now_ns: int) -> None:
         """Drop what waits for too long, and hand over what became of services."""
-        for video in self._videos.values():
-            video.handle_time(now_ns)
         for client in self._clients.values():
             client.handle_time(now_ns)
         while (answer := self.services.next_event()) is not None:
             if (asking := self._clients.get(answer[0])) is not None:
                 with suppress(ProtocolError):  # it does not read, and will be closed
                     asking.put_answer(answer[1])
-
-    def next_event(self) -> KeyAsked | None:
-        asked = (video.next_event() for video in self._videos.values())
-        return next((one for one in asked if one is not None), None)
 
     def metrics(self, now_ns: int) -> FoxgloveMetrics:
         clients = self._clients.values()

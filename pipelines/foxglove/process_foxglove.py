@@ -8,29 +8,26 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
-import msgspec
 from aiohttp import web
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.foxglove.bridge import Bridge
-from pipelines.foxglove.client import KeyAsked
 from pipelines.foxglove.protocol import MOST_CLIENT_OCTETS, SUBPROTOCOLS
 from pipelines.media.following import SELECTED_TOPIC
-from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.mission.tmtc_messages import TMTC_TOPICS, CommandUpdate
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.recording.camera_reader import CameraReader
-from pipelines.recording.channels import Content, Source, sources_of
+from pipelines.recording.channels import Source, sources_of
 from pipelines.recording.session_messages import Instants
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.session.access import AccessError, AccessKind, Found, Role
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
-from pipelines.session.session_metrics import SessionEvents
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import FOXGLOVE, Segment
+from pipelines.session.topology.topics import FOXGLOVE
 from pipelines.session.web_site import WebSite
 
 #: How often topics are read, and without a client.
@@ -63,7 +60,6 @@ class _FoxgloveServer:
         self._serving = ServingLoop(context, self._sockets.handle_time)
         self._wakes: dict[int, asyncio.Event] = {}
         self._topics = _Topics(context, bus, self._bridge)
-        self._maker = KeyPictureMaker()
         self._news = [
             Feed(
                 self._serving.loop,
@@ -90,7 +86,6 @@ class _FoxgloveServer:
             for feed in self._news:
                 feed.close()
             self._topics.close()
-            self._maker.close()
 
     async def _read(self) -> None:
         while True:
@@ -99,8 +94,8 @@ class _FoxgloveServer:
             await asyncio.sleep((_WAKE_NS if self._wakes else _IDLE_NS) / NS_PER_S)
 
     def _take_metrics(self) -> None:
-        while (text := self._context.receive_metrics()) is not None:
-            self._bridge.handle_told(msgspec.json.decode(text, type=SessionEvents), self._now_ns())
+        while (news := self._context.receive_news()) is not None:
+            self._bridge.handle_session(news, self._now_ns())
         self._settle()
 
     def _take_news(self, segment: Segment, lease: Lease) -> None:
@@ -112,20 +107,12 @@ class _FoxgloveServer:
     def _settle(self) -> None:
         """Do what was decided, and wake the clients for which something waits."""
         now_ns, bridge = self._now_ns(), self._bridge
-        while (asked := bridge.next_event()) is not None:
-            self._serving.begin(self._make_key(asked))
         while (request := bridge.services.poll_transmit(now_ns)) is not None:
             send_to_tmtc(self._context.session, *request)
         bridge.handle_time(now_ns)
         for number, wake in self._wakes.items():
             if bridge.waits(number):
                 wake.set()
-
-    async def _make_key(self, asked: KeyAsked) -> None:
-        made = self._maker.of_units(asked.units, asked.width, asked.height)
-        key = await asyncio.wrap_future(made)
-        self._bridge.handle_key_picture(asked, key, self._now_ns())
-        self._settle()
 
     def _publish(self) -> None:
         self._context.probe.publish(
@@ -181,16 +168,12 @@ class _Topics:
     def __init__(self, context: Context, bus: TopicBus, bridge: Bridge) -> None:
         self._bus, self._bridge = bus, bridge
         topology = context.topology
-        self._sources = [
-            source for source in sources_of(topology) if source.content is not Content.CAMERA
-        ]
+        self._sources = [source for source in sources_of(topology) if not source.is_camera]
         self._readers: dict[str, Reader] = {}
-        #: A second reader of a topic while a client waits: for it the sender makes a key picture.
-        self._waiting: dict[str, Reader] = {}
         self._cameras = [
             CameraReader(bus, source, bridge.coder(source))
             for source in sources_of(topology)
-            if source.content is Content.CAMERA
+            if source.is_camera
         ]
         self._carried: Mapping[str, tuple[str, ...]] = {
             camera.name: camera.inputs for camera in topology.cameras
@@ -209,11 +192,8 @@ class _Topics:
                 with lease:
                     octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
                 bridge.handle_sample(source, octets, stamp, Instants(at_ns, now_ns))
-            if not bridge.lacks_key(source, now_ns):
-                if source.topic in self._waiting:
-                    self._waiting.pop(source.topic).close()
-            elif source.topic not in self._waiting:
-                self._waiting[source.topic] = self._bus.reader(source.topic)
+            if reader is not None and bridge.poll_ask(source, now_ns):
+                reader.rejoin()
         if (selected := self._selected.latest()) is not None:
             self._camera = selected.camera
         if (mission := self._mission.latest()) is not None:
@@ -226,7 +206,7 @@ class _Topics:
                 bridge.handle_camera(source, *coded, now_ns)
 
     def close(self) -> None:
-        for reader in (*self._readers.values(), *self._waiting.values()):
+        for reader in self._readers.values():
             reader.close()
         self._selected.close()
         self._mission.close()

@@ -2,14 +2,10 @@
 
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
 from pipelines.recording.rows import shown_topics
-from pipelines.session.topology import (
-    FOXGLOVE,
-    WATCHER_PRIORITY,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
-)
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import WATCHER_PRIORITY, ProcessRow, Stage
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import FOXGLOVE
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

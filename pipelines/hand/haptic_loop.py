@@ -2,7 +2,7 @@
 
 import secrets
 import select
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from pipelines.hand.haptic_trace import BLOCK_ROWS
 from pipelines.hand.haptics import CYCLE_NS, JoystickEnd, RobotEnd
@@ -10,11 +10,10 @@ from pipelines.hand.replaying import ReplayedEnd
 from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.session_metrics import LatenessRow, LoopMetrics
-from pipelines.session.topology import Topology
+from pipelines.session.topology.table import Topology
 from telepresence.haptics.axes import sample_octets
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.haptics.session import BOOT_IDS
-from telepresence.world import WorldState
 
 #: The gateways' slots begin at 0, so a sample waits half a millisecond for its slot.
 _PHASE = 0.5
@@ -42,26 +41,22 @@ def new_boot_id() -> int:
 def run_loop(
     context: Context,
     end: RobotEnd | JoystickEnd | ReplayedEnd,
-    ports: tuple[int, int],
-    publish: Callable[[WorldState], None] | None = None,
+    port: int,
+    send: Send,
     *,
     before: Cycle | None = None,
     after: Cycle | None = None,
-    seldom: Sequence[Cycle] = (),
-    route: Callable[[Send], Send] | None = None,
+    seldom: Cycle | None = None,
 ) -> None:
     """Run an end at 1 kHz.
 
-    ports: the one of its samples, and the peer's. route: where samples go to more than one peer.
+    port: where it takes samples. send: called with each of its own.
     before, after: called in each cycle. seldom: called every `SELDOM` cycles.
     """
     clock, probe = context.clock, context.probe
-    udp = context.listen_own(ports[0])
+    udp = context.listen_own(port)
     more = select.poll()
     more.register(udp, select.POLLIN)
-    send = context.own_sender(ports[1])
-    if route is not None:
-        send = route(send)
     schedule = PeriodicSchedule(start_ns=context.first_deadline_ns(CYCLE_NS, _PHASE))
     # Looked up once: what follows runs a thousand times a second.
     take = udp.recv
@@ -72,7 +67,7 @@ def run_loop(
         end.handle_datagram,
         end.handle_cycle,
     )
-    poll_transmit, next_event, ask = end.poll_transmit, end.next_event, more.poll
+    poll_transmit, ask = end.poll_transmit, more.poll
     # A list, because an array checks the type of each number.
     lateness: list[int] = []
     lateness_rows, add_lateness = probe.series(LatenessRow), lateness.append
@@ -108,17 +103,13 @@ def run_loop(
         sample = poll_transmit(now_ns)
         if sample is not None:
             send(sample)
-        if publish is not None:
-            state = next_event()
-            if state is not None:
-                publish(state)
         if after is not None:
             after(now_ns)
         wait -= 1
         if not wait:
             wait = SELDOM
-            for look in seldom:
-                look(now_ns)
+            if seldom is not None:
+                seldom(now_ns)
         if now_ns >= tick_ns:
             tick_ns = now_ns + TIMEOUT_NS
             context.tick(now_ns)

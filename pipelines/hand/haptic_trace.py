@@ -55,11 +55,16 @@ BLOCK_ROWS: Final = 20
 #: With all axes, of which a last octet has a bit each.
 BLOCK_OCTETS: Final = BLOCK_ROWS * row_type(AXIS_NAMES).itemsize + 1
 
+
+class HapticBlock(bytes):
+    """Rows of a haptic trace, see `rows_of`."""
+
+
 JOYSTICK_TRACE_TOPIC = Topic[bytes](
-    "haptic/joystick", bytes, "20 ms of the handle: position, force, energy (`rows_of`)"
+    "haptic/joystick", HapticBlock, "20 ms of the handle: position, force, energy (`rows_of`)"
 )
 ROBOT_TRACE_TOPIC = Topic[bytes](
-    "haptic/robot", bytes, "20 ms of the tip: position, force, energy (`rows_of`)"
+    "haptic/robot", HapticBlock, "20 ms of the tip: position, force, energy (`rows_of`)"
 )
 
 CONTACT, DEAD_MAN, ACTED = 1, 2, 4

@@ -57,7 +57,7 @@ class _End(Generic[Side]):
     def _numbers(self) -> tuple[int, int, int]:
         """Samples sent and received so far, and the number of the newest received."""
         link = self._link
-        return link.sent, link.received, link.newest_sequence
+        return link.sent, link.counts.received, link.numbers.newest
 
     def _axes_row(self) -> Sequence[float]:
         """Place, force and credit of each axis behind x and y."""
@@ -82,8 +82,6 @@ class _End(Generic[Side]):
         stamps = link.take_received_stamps()
         if not self._of_partner():
             self._received.extend(stamps)
-        while link.next_event() is not None:
-            pass
 
 
 def robot_side(
@@ -324,10 +322,6 @@ class JoystickEnd(_End[JoystickSide]):
             self._probe.publish(self._operated.report())
         while (step := self._steps.next_event()) is not None:
             self._felt.add(StepRow(step.instant_ns))
-
-    def next_event(self) -> WorldState | None:
-        """The joystick has nothing to show: always None."""
-        return None
 
     def _add_row(self, now_ns: int, feedback: Feedback | None) -> None:
         side, handle = self.side, self.side.handle

@@ -1,25 +1,25 @@
 """What lets a partner's joystick drive the robot, or an arm of its own; and a partner's robot."""
 
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import ARM_ORDER_TOPIC, ARM_STATE_TOPIC, ArmState
-from pipelines.hand.haptic_loop import Cycle, Send, new_boot_id, run_loop
+from pipelines.hand.haptic_loop import Send, new_boot_id, run_loop
 from pipelines.hand.haptics import CYCLE_NS, RobotEnd, robot_side
 from pipelines.hand.robot_commands import limits_of
-from pipelines.hand.safety_ends import follow_stop, within
+from pipelines.hand.safety_ends import FollowedStop, within
 from pipelines.hand.timed_calls import take_power
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.datagrams import Outlet, OwnOutlet, receive
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import SECOND_ROBOT_TOPIC
 from pipelines.session.process import Context, take_realtime
-from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import LOOP_PRIORITY, partner_ports
+from pipelines.session.topology.rows import LOOP_PRIORITY
+from pipelines.session.topology.streams import partner_ports
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
@@ -47,101 +47,123 @@ def run_second_robot(context: Context) -> None:
         return
     robot = open_robot(spec)
     with closing(robot), context.open_bus() as bus:
-        publish = state_publisher(bus, SECOND_ROBOT_TOPIC)
+        states = TopicWriter(bus, SECOND_ROBOT_TOPIC)
         limits = within(context.setup.safety, robot.capabilities)
         envelope = SafetyEnvelope(limits, delay_ns=context.setup.round_trip_ns)
         end = RobotEnd(context.probe, robot_side(envelope, boot_id=new_boot_id(), robot=robot))
-        watch, recover = keep_powered(robot, envelope)
-        stop = follow_stop(KeptOrders(context.session), end)
-        ports = partner_ports(context.setup)
-        run_loop(context, end, ports, publish, before=watch, seldom=[stop, recover])
+        powered = PoweredRobot(robot, envelope)
+        stop = FollowedStop(KeptOrders(context.session), envelope)
+
+        def after(_now_ns: int) -> None:
+            publish_state(states, end)
+
+        def seldom(now_ns: int) -> None:
+            stop.follow(now_ns)
+            powered.recover()
+
+        taken, given = partner_ports(context.setup)
+        send = context.own_sender(given)
+        run_loop(context, end, taken, send, before=powered.watch, after=after, seldom=seldom)
 
 
-def state_publisher(bus: TopicBus, topic: Topic[WorldState]) -> Callable[[WorldState], None]:
-    """Return what publishes the states of a robot."""
-    writer = TopicWriter(bus, topic)
-    return lambda state: writer.publish(state.dated(), state.time_ns)
+def publish_state(states: TopicWriter[WorldState], end: RobotEnd) -> None:
+    """Publish the state of a robot, if there is a new one; after each cycle."""
+    if (state := end.next_event()) is not None:
+        states.publish(state.dated(), state.time_ns)
 
 
-def keep_powered(robot: Robot, envelope: SafetyEnvelope) -> tuple[Cycle, Cycle]:
-    """Switch a robot on; return what watches it in each cycle, and what switches it on again."""
-    control = RobotControl(
-        robot, limits=limits_of(robot.capabilities), powered=True, mode=ControlMode.TELEPRESENCE
-    )
+class PoweredRobot:
+    """Switches a robot on. Call `watch` in each cycle, and `recover` every few."""
 
-    def watch(now_ns: int) -> None:
-        if envelope.stopped is not control.stopped:
-            control.handle_stop(envelope.stopped)
-        control.step(now_ns)
+    def __init__(self, robot: Robot, envelope: SafetyEnvelope) -> None:
+        self._envelope = envelope
+        self._control = RobotControl(
+            robot,
+            limits=limits_of(robot.capabilities),
+            powered=True,
+            mode=ControlMode.TELEPRESENCE,
+        )
 
-    def recover(_now_ns: int) -> None:
+    def watch(self, now_ns: int) -> None:
+        if self._envelope.stopped is not self._control.stopped:
+            self._control.handle_stop(self._envelope.stopped)
+        self._control.step(now_ns)
+
+    def recover(self) -> None:
+        """Switch it on again, once the cause of its being off is gone."""
+        control = self._control
         if not control.powered and not control.stopped and not control.reset():
             control.set_power(True)
 
-    return watch, recover
 
+class _PartnerPort:
+    """The way to a partner's program."""
 
-def follow_authority(bus: TopicBus, ownership: ControlAuthority, end: RobotEnd) -> Cycle:
-    """Return what takes the orders of the gateway application's desk, and tells who drives."""
-    reader = TopicReader(bus, ARM_ORDER_TOPIC)
-    writer = TopicWriter(bus, ARM_STATE_TOPIC)
-    told = ArmState()
+    def __init__(self, context: Context) -> None:
+        taken, given = partner_ports(context.setup)
+        self._udp, self._send = context.listen_own(taken), context.own_sender(given)
 
-    def follow(now_ns: int) -> None:
-        nonlocal told
-        if (order := reader.latest()) is not None:
-            ownership.handle_order(order, now_ns)
-        state = ArmState.of(ownership.report(), waiting=end.envelope.waiting)
-        if state != told:
-            told = state
-            writer.publish(state, now_ns)
-
-    return follow
-
-
-def open_partner(context: Context, end: RobotEnd) -> tuple[Cycle, Send]:
-    """Return what takes a partner's samples, and what sends samples to it."""
-    taken, given = partner_ports(context.setup)
-    udp = context.listen_own(taken)
-
-    def take(now_ns: int) -> None:
-        while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
-            end.handle_partner(datagram, now_ns)
-
-    return take, context.own_sender(given)
-
-
-def serve_board(context: Context, end: RobotEnd, board: PartnerBoard) -> Cycle:
-    """Return what passes samples between the joystick in space and a partner's robot."""
-    taken, given = partner_ports(context.setup)
-    udp, send = context.listen_own(taken), context.own_sender(given)
-
-    def serve(now_ns: int) -> None:
+    def _datagrams(self) -> Iterator[bytes]:
         # A partner's flood must not hold the loop: what is more than this waits, then is dropped.
         for _ in range(_MOST_DATAGRAMS):
-            if (datagram := receive(udp, SAMPLE_OCTETS + 1)) is None:
+            if (datagram := receive(self._udp, SAMPLE_OCTETS + 1)) is None:
                 break
-            board.handle_partner(datagram, now_ns)
-        if (sample := board.poll_partner(stopped=end.envelope.stopped)) is not None:
-            send(sample)
-
-    return serve
+            yield datagram
 
 
-def route_to_authority(ownership: ControlAuthority, to_partner: Send) -> Callable[[Send], Send]:
-    """Return what makes, of a function that sends to the gateway, one that sends to the owner."""
+class SharedArm(_PartnerPort):
+    """The robot that the joystick in space and a partner's drive in turn."""
 
-    def routed(to_gateway: Send) -> Send:
-        def send(sample: bytes) -> None:
-            authority = ownership.authority
-            if authority is Authority.OPERATOR:
-                to_gateway(sample)
-            elif authority is Authority.PARTNER:
-                to_partner(sample)
+    def __init__(
+        self,
+        context: Context,
+        bus: TopicBus,
+        end: RobotEnd,
+        ownership: ControlAuthority,
+        to_gateway: Send,
+    ) -> None:
+        super().__init__(context)
+        self._end, self._ownership, self._to_gateway = end, ownership, to_gateway
+        self._orders = TopicReader(bus, ARM_ORDER_TOPIC)
+        self._states = TopicWriter(bus, ARM_STATE_TOPIC)
+        self._state = ArmState()
 
-        return send
+    def exchange(self, now_ns: int) -> None:
+        """In each cycle: take the partner's samples."""
+        for datagram in self._datagrams():
+            self._end.handle_partner(datagram, now_ns)
 
-    return routed
+    def send_to_owner(self, sample: bytes) -> None:
+        authority = self._ownership.authority
+        if authority is Authority.OPERATOR:
+            self._to_gateway(sample)
+        elif authority is Authority.PARTNER:
+            self._send(sample)
+
+    def follow_arbiter(self, now_ns: int) -> None:
+        """Take the arbiter's orders, and publish who drives."""
+        if (order := self._orders.latest()) is not None:
+            self._ownership.handle_order(order, now_ns)
+        state = ArmState.of(self._ownership.report(), waiting=self._end.envelope.waiting)
+        if state != self._state:
+            self._state = state
+            self._states.publish(state, now_ns)
+
+
+class PartnersRobot(_PartnerPort):
+    """A partner's robot, which the joystick in space may drive."""
+
+    def __init__(self, context: Context, end: RobotEnd, board: PartnerBoard) -> None:
+        super().__init__(context)
+        self._end, self._board = end, board
+
+    def exchange(self, now_ns: int) -> None:
+        """In each cycle: pass samples between the joystick and that robot."""
+        for datagram in self._datagrams():
+            self._board.handle_partner(datagram, now_ns)
+        sample = self._board.poll_partner(stopped=self._end.envelope.stopped)
+        if sample is not None:
+            self._send(sample)
 
 
 #: How often it looks whether the robot answers.
@@ -150,12 +172,12 @@ _LOOK_NS = 100 * NS_PER_MS
 
 def told(side: JoystickSide | RobotSide, peer: str) -> int:
     """Print what went to the peer and came from it; return 0 if something came, else 1."""
-    metrics = side.link
+    counts = side.link.counts
     print(
-        f"{metrics.sent} samples to the {peer}, {metrics.received} from it, "
-        f"{metrics.lost} lost, {metrics.garbage} garbage"
+        f"{side.link.sent} samples to the {peer}, {counts.received} from it, "
+        f"{counts.lost} lost, {counts.garbage} garbage"
     )
-    return 0 if metrics.received else 1
+    return 0 if counts.received else 1
 
 
 def run_side(

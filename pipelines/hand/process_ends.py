@@ -1,7 +1,6 @@
 """The processes of robot (ground) and joystick (space), each a 1 kHz loop."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import fields
 
@@ -15,7 +14,7 @@ from pipelines.hand.hand_topics import (
     JoystickOrders,
     RobotOrders,
 )
-from pipelines.hand.haptic_loop import Cycle, new_boot_id, run_loop, session_ports
+from pipelines.hand.haptic_loop import new_boot_id, run_loop, session_ports
 from pipelines.hand.haptic_trace import (
     BLOCK_OCTETS,
     JOYSTICK_TRACE_TOPIC,
@@ -23,25 +22,19 @@ from pipelines.hand.haptic_trace import (
     HapticTrace,
 )
 from pipelines.hand.haptics import JoystickEnd, RobotEnd, robot_side
-from pipelines.hand.partner_arm import (
-    follow_authority,
-    open_partner,
-    route_to_authority,
-    serve_board,
-    state_publisher,
-)
+from pipelines.hand.partner_arm import PartnersRobot, SharedArm, publish_state
 from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
 from pipelines.hand.safety_ends import (
     UNKNOWN_JOYSTICK,
     UNKNOWN_ROBOT,
-    follow_stop,
-    keep_joystick,
-    keep_robot,
-    look_at_picture,
-    watch_camera,
+    CameraWatch,
+    FollowedStop,
+    OperatorView,
+    StopBit,
     within,
 )
 from pipelines.hand.timed_calls import take_power
+from pipelines.media.following import HALVES_TOPIC, SELECTED_TOPIC
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
@@ -53,18 +46,21 @@ from pipelines.session.mission_messages import (
     PanelShown,
 )
 from pipelines.session.process import Context
+from pipelines.session.setup.table import STEREO
 from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import JOYSTICK, ROBOT, TELEMETRY, WALL_TOPIC
-from pipelines.session.training import TRAINER_TOPIC, Exercises
+from pipelines.session.topology.streams import TELEMETRY
+from pipelines.session.topology.topics import JOYSTICK, ROBOT, WALL_TOPIC
+from pipelines.session.training import TRAINER_TOPIC
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.page import PageDevice, PageInput
+from telepresence.haptics.device.page import NO_PICTURE, PageDevice, PageInput
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.haptic_metrics import HandInputMetrics
+from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
 from telepresence.haptics.specs import open_device, open_robot
 from telepresence.haptics.udp_devices import UdpJoystick, UdpRobot
@@ -76,133 +72,52 @@ from telepresence.tmtc.k2aci import PanelMode
 
 #: Orders and telecommands that can wait.
 _ORDERS = 16
+#: Commands of a person that can wait; all that the topic can hold.
+_REQUESTS = 8
 #: How late the cosmonaut sees the LED panel, in looks: about what the picture takes.
 _LATE = 3
 
 
-def both(first: Cycle, second: Cycle) -> Cycle:
+class _Traced:
+    """Publishes the rows of an end while they have readers."""
 
-    def work(now_ns: int) -> None:
-        first(now_ns)
-        second(now_ns)
+    def __init__(self, bus: TopicBus, topic: Topic[bytes], trace: HapticTrace) -> None:
+        self._writer = TopicWriter(bus, topic, wake=True, octets=BLOCK_OCTETS)
+        self._trace = trace
 
-    return work
+    def publish(self, now_ns: int) -> None:
+        if (block := self._trace.poll_block()) is not None:
+            self._writer.publish(block, now_ns)
+        if self._trace.asks(now_ns):
+            self._trace.handle_watched(self._writer.has_readers())
 
 
-def serve_robot(bus: TopicBus, service: RobotCommands, *, tasks: bool) -> Cycle:
-    """Return what takes orders and telecommands, and publishes what the controller does.
+class _Robot:
+    """What the robot's process does beside the exchange of samples.
 
-    tasks: there is a kernel that orders.
+    Call `before` in each cycle, before the robot moves, `after` at its end, and `seldom` every few
+    cycles.
     """
-    writer = TopicWriter(bus, ROBOT_STATUS_TOPIC)
-    orders = TopicReader(bus, ROBOT_ORDER_TOPIC, depth=_ORDERS) if tasks else None
-    commands = TopicReader(bus, ROBOT_COMMAND_TOPIC, depth=_ORDERS)
 
-    def serve(now_ns: int) -> None:
-        if orders is not None:
-            while (order := orders.next()) is not None:
-                service.handle_order(order, orders.newest_ns, now_ns)
-        # One at a time, so that each has its own answer.
-        if (command := commands.next()) is not None:
-            service.handle_command(command, commands.newest_ns, now_ns)
-        status = service.poll_status(now_ns)
-        if status is not None:
-            writer.publish(status, now_ns)
-
-    return serve
-
-
-def follow_exercises(bus: TopicBus, handle: Callable[[Exercises, int], None]) -> Cycle:
-    """Return what hands over a trainer's exercises, and the present instant, at each change."""
-    reader = TopicReader(bus, TRAINER_TOPIC)
-
-    def follow(now_ns: int) -> None:
-        if (exercises := reader.changed()) is not None:
-            handle(exercises, now_ns)
-
-    return follow
-
-
-def looking(bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> Cycle:
-    """Return what lets a simulated cosmonaut see panel, LEDs and robot."""
-    panel = TopicReader(bus, MISSION_PANEL_TOPIC)
-    leds = TopicReader(bus, MISSION_LEDS_TOPIC)
-    robot = TopicReader(bus, ROBOT_TOPIC)
-    seen: deque[PanelPicture] = deque([DARK] * _LATE, maxlen=_LATE)
-    tip_m = (0.0, 0.0)
-    due_ns = 0
-
-    def look(now_ns: int) -> None:
-        nonlocal tip_m, due_ns
-        if now_ns < due_ns:
-            return
-        due_ns = now_ns + LOOK_NS
-        panel.latest()
-        leds.latest()
-        if (state := robot.latest()) is not None:
-            tip_m = state.x_m, state.y_m
-        picture = seen[0]
-        seen.append(DARK if leds.newest is None else leds.newest.picture)
-        if panel.newest is not None:
-            view = _view(panel.newest)
-            cosmonaut.look(view, picture, tip_m, (handle.x_m, handle.y_m))
-
-    return look
-
-
-def seeing(bus: TopicBus, hand: Hand) -> Cycle:
-    """Return what lets a simulated hand see where the robot is."""
-    robot = TopicReader(bus, ROBOT_TOPIC)
-
-    def see(_now_ns: int) -> None:
-        if (state := robot.latest()) is not None:
-            hand.see(state.x_m, state.y_m)
-
-    return see
-
-
-def _view(shown: PanelShown) -> PanelView:
-    found = {field.name: getattr(shown, field.name) for field in fields(PanelView)}
-    return PanelView(**found | {"mode": PanelMode(shown.mode)})
-
-
-#: Commands of a person that can wait; all that the topic can hold.
-_REQUESTS = 8
-
-
-def run_robot(context: Context) -> None:
-    """Follow the commands, measure the force, and publish the state of the robot.
-
-    In a session with tasks it is off until the kernel or a person switches it on.
-    """
-    if context.takes_power:
-        take_power(context.topology.options.robot, context.setup.more_axes)
-        return
-    robot = open_robot(context.topology.options.robot, context.setup.more_axes)
-    with closing(robot), context.open_bus() as bus:
-        if isinstance(robot, DrivenRobot):
-            _publish_datagrams(context, robot.device)
-        setup, topology = context.setup, context.topology
-        tasks = topology.options.tasks
-        mediated = setup.hand != "direct"
-        # Nobody drives until the desk has told who is to.
-        ownership = ControlAuthority(None) if setup.partner_arm == "shared" else None
-        boot_id = new_boot_id()
-        kept = KeptOrders(context.session)
+    def __init__(self, context: Context, bus: TopicBus, robot: Robot) -> None:
+        setup, topology, boot_id = context.setup, context.topology, new_boot_id()
+        tasks, mediated = topology.options.tasks, setup.hand != "direct"
+        self._kept = KeptOrders(context.session)
         first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
-        orders = kept.recall(ROBOT, first, UNKNOWN_ROBOT)
-        board = None
-        if setup.partner_arm == "board":
-            # Nobody drives until our robot has rested.
-            asked = Authority.PARTNER if orders.board else Authority.OPERATOR
-            ownership = ControlAuthority(None, wanted=asked)
-            board = PartnerBoard(ownership)
+        orders = self._kept.recall(ROBOT, first, UNKNOWN_ROBOT)
+        ownership = board = None
+        if setup.partner_arm in ("shared", "board"):
+            # Nobody drives until the arbiter has told who is to, or our robot has rested.
+            wanted = Authority.PARTNER if orders.board else Authority.OPERATOR
+            ownership = ControlAuthority(None, wanted=wanted)
+            board = PartnerBoard(ownership) if setup.partner_arm == "board" else None
+        envelope = SafetyEnvelope(
+            within(setup.safety, robot.capabilities),
+            stopped=self._kept.stopped,
+            delay_ns=setup.round_trip_ns,
+        )
         side = robot_side(
-            SafetyEnvelope(
-                within(setup.safety, robot.capabilities),
-                stopped=kept.stopped,
-                delay_ns=setup.round_trip_ns,
-            ),
+            envelope,
             boot_id=boot_id,
             deadband=setup.deadband != "off",
             mediated=mediated,
@@ -210,51 +125,242 @@ def run_robot(context: Context) -> None:
             ownership=ownership,
             robot=robot,
         )
-        end = RobotEnd(context.probe, side, board=board)
-        to_gateway = context.own_sender(topology.entry_port(TELEMETRY)) if mediated else None
-
-        def tell_wall(now_ns: int) -> None:
-            wall = end.poll_wall(now_ns)
-            if wall is not None and to_gateway is not None:
-                to_gateway(wall)
-
-        now_ns = context.clock.now_ns()
-        service = RobotCommands(
-            end.side, boot_id=boot_id, tasks=tasks, now_ns=now_ns, orders=orders, board=board
-        )
-        context.on_flush(lambda: context.probe.publish(service.report()))
-        seldom = [
-            follow_stop(kept, end),
-            _trace(bus, ROBOT_TRACE_TOPIC, end.trace),
-            serve_robot(bus, service, tasks=tasks),
-            # After what takes orders, so that a restarted process knows them.
-            keep_robot(kept, service),
-            watch_camera(bus, context.setup, end),
-        ]
-        if TRAINER_TOPIC in topology.reads(ROBOT):
-            control = service.control
-            seldom.append(
-                follow_exercises(bus, lambda told, _: control.handle_exercise(told.robot_ns))
-            )
-        before: Cycle = service.step
-        route = None
+        self.end = RobotEnd(context.probe, side, board=board)
+        self.port, gateway_port = session_ports(topology, ROBOT)
+        self.send = context.own_sender(gateway_port)
+        self._partner: SharedArm | PartnersRobot | None = None
         if board is not None:
-            before = both(serve_board(context, end, board), service.step)
+            self._partner = PartnersRobot(context, self.end, board)
         elif ownership is not None:
-            seldom.append(follow_authority(bus, ownership, end))
-            take_partner, to_partner = open_partner(context, end)
-            before = both(take_partner, service.step)
-            route = route_to_authority(ownership, to_partner)
+            self._partner = SharedArm(context, bus, self.end, ownership, self.send)
+            self.send = self._partner.send_to_owner
+        self._send_wall = context.own_sender(topology.entry_port(TELEMETRY)) if mediated else None
+        now_ns = context.clock.now_ns()
+        self._service = RobotCommands(
+            side, boot_id=boot_id, tasks=tasks, now_ns=now_ns, orders=orders, board=board
+        )
+        context.on_flush(lambda: context.probe.publish(self._service.report()))
+        self._stop = FollowedStop(self._kept, envelope)
+        self._traced = _Traced(bus, ROBOT_TRACE_TOPIC, self.end.trace)
+        self._states = TopicWriter(bus, ROBOT_TOPIC)
+        self._status = TopicWriter(bus, ROBOT_STATUS_TOPIC)
+        # Only a kernel orders.
+        self._orders = TopicReader(bus, ROBOT_ORDER_TOPIC, depth=_ORDERS, opened=tasks)
+        self._commands = TopicReader(bus, ROBOT_COMMAND_TOPIC, depth=_ORDERS)
+        self._view = CameraWatch(setup, envelope)
+        self._choices = TopicReader(bus, SELECTED_TOPIC)
+        self._halves = TopicReader(bus, HALVES_TOPIC, opened=STEREO in setup.cameras)
+        trained = TRAINER_TOPIC in topology.reads(ROBOT)
+        self._exercises = TopicReader(bus, TRAINER_TOPIC, opened=trained)
+
+    def before(self, now_ns: int) -> None:
+        if self._partner is not None:
+            self._partner.exchange(now_ns)
+        self._service.step(now_ns)
+
+    def after(self, now_ns: int) -> None:
+        publish_state(self._states, self.end)
+        if self._send_wall is not None and (wall := self.end.poll_wall(now_ns)) is not None:
+            self._send_wall(wall)
+
+    def seldom(self, now_ns: int) -> None:
+        self._stop.follow(now_ns)
+        self._traced.publish(now_ns)
+        self._serve(now_ns)
+        # After what takes orders, so that a restarted process knows them.
+        self._kept.keep(ROBOT, self._service.orders)
+        self._watch_cameras(now_ns)
+        if (exercises := self._exercises.changed()) is not None:
+            self._service.control.handle_exercise(exercises.robot_ns)
+        if isinstance(self._partner, SharedArm):
+            self._partner.follow_arbiter(now_ns)
+
+    def _serve(self, now_ns: int) -> None:
+        """Take orders and telecommands, and publish what the controller does."""
+        service, orders, commands = self._service, self._orders, self._commands
+        while (order := orders.next()) is not None:
+            service.handle_order(order, orders.newest_ns, now_ns)
+        # One at a time, so that each has its own answer.
+        if (command := commands.next()) is not None:
+            service.handle_command(command, commands.newest_ns, now_ns)
+        if (status := service.poll_status(now_ns)) is not None:
+            self._status.publish(status, now_ns)
+
+    def _watch_cameras(self, now_ns: int) -> None:
+        """Hold the robot at a change of the camera, and at half a frozen picture."""
+        if (choice := self._choices.latest()) is not None:
+            self._view.handle_choice(choice.camera)
+        if (oldest_ns := self._halves.latest()) is not None:
+            self._view.handle_halves(oldest_ns)
+        self._view.handle_time(now_ns)
+
+
+def run_robot(context: Context) -> None:
+    """Follow the commands, measure the force, and publish the state of the robot.
+
+    In a session with tasks it is off until the kernel or a person switches it on.
+    """
+    spec, axes = context.topology.options.robot, context.setup.more_axes
+    if context.takes_power:
+        take_power(spec, axes)
+        return
+    robot = open_robot(spec, axes)
+    with closing(robot), context.open_bus() as bus:
+        if isinstance(robot, DrivenRobot):
+            _publish_datagrams(context, robot.device)
+        shell = _Robot(context, bus, robot)
         run_loop(
             context,
-            end,
-            session_ports(topology, ROBOT),
-            state_publisher(bus, ROBOT_TOPIC),
-            before=before,
-            after=tell_wall if mediated else None,
-            seldom=seldom,
-            route=route,
+            shell.end,
+            shell.port,
+            shell.send,
+            before=shell.before,
+            after=shell.after,
+            seldom=shell.seldom,
         )
+
+
+class _Joystick:
+    """What the joystick's process does beside the exchange of samples.
+
+    Call `seldom` every few cycles.
+    """
+
+    def __init__(self, context: Context, bus: TopicBus, device: JoystickDevice, hand: Hand) -> None:
+        setup, topology = context.setup, context.topology
+        reads = topology.reads(JOYSTICK)
+        self._kept = KeptOrders(context.session)
+        orders = self._kept.recall(JOYSTICK, JoystickOrders(paused=""), UNKNOWN_JOYSTICK)
+        self._handle = handle = OperatedHandle(device, paused=orders.paused)
+        self.end = JoystickEnd(
+            context.probe,
+            boot_id=new_boot_id(),
+            deadband=setup.deadband != "off",
+            mediated=setup.hand != "direct",
+            residual=setup.hand == "auto",
+            handle=handle,
+        )
+        self._board = setup.partner_arm == "board"
+        if self._board:
+            handle.operation.choose(orders.experiment)
+            self.end.follow_experiment()
+        self._traced = _Traced(bus, JOYSTICK_TRACE_TOPIC, self.end.trace)
+        self._teller = JoystickStatusTeller(handle)
+        self._status = TopicWriter(bus, JOYSTICK_STATE_TOPIC, wake=True)
+        asked = HAND_REQUEST_TOPIC in reads
+        self._requests = TopicReader(bus, HAND_REQUEST_TOPIC, depth=_REQUESTS, opened=asked)
+        self._commands = TopicReader(bus, JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
+        self._stop_bit = StopBit()
+        self._view = OperatorView(setup)
+        self._lags = TopicReader(bus, topology.video(setup.uplink_video.name).lag_topic)
+        self._walls = TopicReader(bus, WALL_TOPIC, opened=WALL_TOPIC in reads)
+        self._exercises = TopicReader(bus, TRAINER_TOPIC, opened=TRAINER_TOPIC in reads)
+        self._eyes: _CosmonautEyes | _HandEyes | None = None
+        if isinstance(hand, Cosmonaut):
+            self._eyes = _CosmonautEyes(bus, hand, handle)
+        elif ROBOT_TOPIC in reads and isinstance(device, SimulatedDevice):
+            self._eyes = _HandEyes(bus, hand)
+
+    def seldom(self, now_ns: int) -> None:
+        handle = self._handle
+        self._traced.publish(now_ns)
+        self._serve(now_ns)
+        if self._board:
+            self.end.follow_experiment()
+        # After what takes orders, so that a restarted process knows them.
+        self._keep(now_ns)
+        if (lag := self._lags.latest()) is not None:
+            self._view.handle_shown(*lag)
+        device = handle.device
+        painted_ns = device.picture_ns if isinstance(device, PageDevice) else NO_PICTURE
+        handle.blind = self._view.is_blind(now_ns, painted_ns)
+        # There are at most ten a second.
+        if (wall := self._walls.latest()) is not None:
+            self.end.handle_wall(wall)
+        if (exercises := self._exercises.changed()) is not None:
+            handle.handle_exercise(exercises.joystick_ns - now_ns)
+        if self._eyes is not None:
+            self._eyes.look(now_ns)
+
+    def _serve(self, now_ns: int) -> None:
+        """Take persons' commands and telecommands, and publish the joystick's state."""
+        teller = self._teller
+        # One at a time, so that each has its own answer.
+        if (request := self._requests.next()) is not None:
+            teller.handle_request(request)
+        if (command := self._commands.next()) is not None:
+            teller.handle_telecommand(command)
+        if (status := teller.poll_status(now_ns)) is not None:
+            self._status.publish(status, now_ns)
+        if teller.asks(now_ns):
+            teller.handle_watched(self._status.has_readers())
+
+    def _keep(self, now_ns: int) -> None:
+        """Keep a person's orders, and put the emergency stop into every sample."""
+        kept, handle, operation = self._kept, self._handle, self._handle.operation
+        # Each order has its instant as its name; 1 if the instant is not known.
+        ordered_ns = (kept.stopped_at_ns or 1) if kept.stopped else None
+        handle.stop = self._stop_bit.handle_order(ordered_ns, handle.robot_stopped, now_ns)
+        orders = JoystickOrders(paused=operation.paused, experiment=operation.experiment)
+        kept.keep(JOYSTICK, orders)
+
+
+class _CosmonautEyes:
+    """Lets a simulated cosmonaut see panel, LEDs and robot."""
+
+    def __init__(self, bus: TopicBus, cosmonaut: Cosmonaut, handle: OperatedHandle) -> None:
+        self._cosmonaut, self._handle = cosmonaut, handle
+        self._panel = TopicReader(bus, MISSION_PANEL_TOPIC)
+        self._leds = TopicReader(bus, MISSION_LEDS_TOPIC)
+        self._robot = TopicReader(bus, ROBOT_TOPIC)
+        self._pictures: deque[PanelPicture] = deque([DARK] * _LATE, maxlen=_LATE)
+        self._due_ns = 0
+
+    def look(self, now_ns: int) -> None:
+        if now_ns < self._due_ns:
+            return
+        self._due_ns = now_ns + LOOK_NS
+        panel, leds, robot = self._panel, self._leds, self._robot
+        for reader in (panel, leds, robot):
+            reader.latest()
+        picture = self._pictures[0]
+        self._pictures.append(DARK if leds.newest is None else leds.newest.picture)
+        if panel.newest is not None:
+            tip_m = (0.0, 0.0) if robot.newest is None else (robot.newest.x_m, robot.newest.y_m)
+            handle_m = self._handle.x_m, self._handle.y_m
+            self._cosmonaut.look(_view(panel.newest), picture, tip_m, handle_m)
+
+
+def _view(shown: PanelShown) -> PanelView:
+    values = {field.name: getattr(shown, field.name) for field in fields(PanelView)}
+    return PanelView(**values | {"mode": PanelMode(shown.mode)})
+
+
+class _HandEyes:
+    """Lets a simulated hand see where the robot is."""
+
+    def __init__(self, bus: TopicBus, hand: Hand) -> None:
+        self._hand, self._robot = hand, TopicReader(bus, ROBOT_TOPIC)
+
+    def look(self, _now_ns: int) -> None:
+        if (state := self._robot.latest()) is not None:
+            self._hand.see(state.x_m, state.y_m)
+
+
+class PageHand:
+    """The newest input of the page or node that holds the handle; call `take` in each cycle."""
+
+    def __init__(
+        self, context: Context, bus: TopicBus, device: PageDevice, topic: Topic[PageInput]
+    ) -> None:
+        self._device, self._inputs = device, TopicReader(bus, topic)
+        context.on_flush(
+            lambda: context.probe.publish(HandInputMetrics(inputs_ignored=device.ignored))
+        )
+
+    def take(self, now_ns: int) -> None:
+        if (hand := self._inputs.latest()) is not None:
+            self._device.handle_input(hand, now_ns - hand.received_ns)
 
 
 def run_joystick(context: Context, *, skill: float | None = None) -> None:
@@ -264,55 +370,19 @@ def run_joystick(context: Context, *, skill: float | None = None) -> None:
     taps the targets.
     """
     hand = Hand() if skill is None else Cosmonaut(Skill(level=skill), seed=context.seed)
-    axes = context.setup.more_axes
-    device = open_device(context.topology.options.joystick, hand=hand, axes=axes)
-    try:
+    topology = context.topology
+    device = open_device(topology.options.joystick, hand=hand, axes=context.setup.more_axes)
+    with closing(device), context.open_bus() as bus:
         _publish_datagrams(context, device)
-        kept = KeptOrders(context.session)
-        orders = kept.recall(JOYSTICK, JoystickOrders(paused=""), UNKNOWN_JOYSTICK)
-        handle = OperatedHandle(device, paused=orders.paused)
-        setup = context.setup
-        board = setup.partner_arm == "board"
-        end = JoystickEnd(
-            context.probe,
-            boot_id=new_boot_id(),
-            deadband=setup.deadband != "off",
-            mediated=setup.hand != "direct",
-            residual=setup.hand == "auto",
-            handle=handle,
-        )
-        if board:
-            handle.operation.choose(orders.experiment)
-            end.follow_experiment()
-        with context.open_bus() as bus:
-            reads = context.topology.reads(JOYSTICK)
-            seldom = [
-                _trace(bus, JOYSTICK_TRACE_TOPIC, end.trace),
-                _status(bus, handle, reads),
-                *([lambda _: end.follow_experiment()] if board else []),
-                # After what takes orders, so that a restarted process knows them.
-                keep_joystick(kept, handle),
-                look_at_picture(bus, context.topology, handle),
-            ]
-            if WALL_TOPIC in reads:
-                seldom.append(_walls(bus, end))
-            if TRAINER_TOPIC in reads:
-                fail = handle.handle_exercise
-                seldom.append(
-                    follow_exercises(bus, lambda told, now_ns: fail(told.joystick_ns - now_ns))
-                )
-            if isinstance(hand, Cosmonaut):
-                seldom.append(looking(bus, hand, handle))
-            elif ROBOT_TOPIC in reads and isinstance(device, SimulatedDevice):
-                seldom.append(seeing(bus, hand))
-            before = None
-            inputs = [topic for topic in (HAND_INPUT_TOPIC, ROS2_HAND_TOPIC) if topic in reads]
-            if isinstance(device, PageDevice) and inputs:
-                before = _hand(context, bus, device, inputs[0])
-            ports = session_ports(context.topology, JOYSTICK)
-            run_loop(context, end, ports, before=before, seldom=seldom)
-    finally:
-        device.close()
+        shell = _Joystick(context, bus, device, hand)
+        before = None
+        reads = topology.reads(JOYSTICK)
+        inputs = [topic for topic in (HAND_INPUT_TOPIC, ROS2_HAND_TOPIC) if topic in reads]
+        if isinstance(device, PageDevice) and inputs:
+            before = PageHand(context, bus, device, inputs[0]).take
+        port, gateway_port = session_ports(topology, JOYSTICK)
+        send = context.own_sender(gateway_port)
+        run_loop(context, shell.end, port, send, before=before, seldom=shell.seldom)
 
 
 def _publish_datagrams(context: Context, device: RobotDevice | JoystickDevice) -> None:
@@ -320,64 +390,3 @@ def _publish_datagrams(context: Context, device: RobotDevice | JoystickDevice) -
     if isinstance(device, UdpRobot | UdpJoystick):
         metrics = device.metrics
         context.on_flush(lambda: context.probe.publish(metrics()))
-
-
-def _trace(bus: TopicBus, topic: Topic[bytes], trace: HapticTrace) -> Cycle:
-    """Return what publishes the rows of an end while they have readers."""
-    writer = TopicWriter(bus, topic, wake=True, octets=BLOCK_OCTETS)
-
-    def publish(now_ns: int) -> None:
-        block = trace.poll_block()
-        if block is not None:
-            writer.publish(block, now_ns)
-        if trace.asks(now_ns):
-            trace.handle_watched(writer.has_readers())
-
-    return publish
-
-
-def _status(bus: TopicBus, handle: OperatedHandle, reads: Sequence[str]) -> Cycle:
-    """Return what takes persons' commands and telecommands, and publishes the joystick's state."""
-    teller = JoystickStatusTeller(handle)
-    writer = TopicWriter(bus, JOYSTICK_STATE_TOPIC, wake=True)
-    requests = None
-    if HAND_REQUEST_TOPIC in reads:
-        requests = TopicReader(bus, HAND_REQUEST_TOPIC, depth=_REQUESTS)
-    commands = TopicReader(bus, JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
-
-    def publish(now_ns: int) -> None:
-        # One at a time, so that each has its own answer.
-        if requests is not None and (request := requests.next()) is not None:
-            teller.handle_request(request)
-        if (command := commands.next()) is not None:
-            teller.handle_telecommand(command)
-        status = teller.poll_status(now_ns)
-        if status is not None:
-            writer.publish(status, now_ns)
-        if teller.asks(now_ns):
-            teller.handle_watched(writer.has_readers())
-
-    return publish
-
-
-def _walls(bus: TopicBus, end: JoystickEnd) -> Cycle:
-    """Return what takes the newest wall; there are at most ten a second."""
-    reader = TopicReader(bus, WALL_TOPIC)
-
-    def take(_now_ns: int) -> None:
-        if (wall := reader.latest()) is not None:
-            end.handle_wall(wall)
-
-    return take
-
-
-def _hand(context: Context, bus: TopicBus, device: PageDevice, topic: Topic[PageInput]) -> Cycle:
-    """Return what takes the newest input of the page or node that holds the handle."""
-    reader = TopicReader(bus, topic)
-    context.on_flush(lambda: context.probe.publish(HandInputMetrics(inputs_ignored=device.ignored)))
-
-    def take(now_ns: int) -> None:
-        if (hand := reader.latest()) is not None:
-            device.handle_input(hand, now_ns - hand.received_ns)
-
-    return take

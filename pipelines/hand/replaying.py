@@ -15,7 +15,6 @@ from telepresence.haptics.axes import AXIS_NAMES, lever_of
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
 from telepresence.haptics.step_detector import StepDetector
-from telepresence.world import WorldState
 
 Row = Sequence[Any]
 
@@ -143,10 +142,6 @@ class ReplayedEnd:
             )
             self._link.handle_local(command, now_ns)
 
-    def next_event(self) -> WorldState | None:
-        """A replayed robot shows no state: always None."""
-        return None
-
     def publish(self) -> None:
         """Put the counters and stamps into the probe."""
         link = self._link
@@ -156,8 +151,6 @@ class ReplayedEnd:
         self._received.extend(link.take_received_stamps())
         while (step := self._steps.next_event()) is not None:
             self._felt.add(StepRow(step.instant_ns))
-        while link.next_event() is not None:
-            pass
 
 
 def _rows(rows: NDArray[np.void], time: ReplayTime, more: Sequence[str]) -> Iterator[Row]:

@@ -20,19 +20,16 @@ from pipelines.session.mission_messages import (
     ROBOT_TOPIC,
     SECOND_ROBOT_TOPIC,
 )
-from pipelines.session.topology import (
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import LOOP_PRIORITY, ProcessRow, Stage, given
+from pipelines.session.topology.streams import partner_ports
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     AUTHORITY_SOCKET,
     JOYSTICK,
-    LOOP_PRIORITY,
     ROBOT,
     SECOND_ROBOT,
     WALL_TOPIC,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
-    given,
-    partner_ports,
 )
 from pipelines.session.training import TRAINER_TOPIC
 from telepresence.haptics.specs import PAGE, ROS2_HAND, is_simulated

@@ -10,17 +10,11 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.streams.staleness import FUTURE_NS
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC, JoystickOrders, RobotOrders
-from pipelines.hand.haptic_loop import Cycle
-from pipelines.hand.haptics import RobotEnd
-from pipelines.hand.robot_commands import RobotCommands
-from pipelines.media.following import HALVES_TOPIC, SELECTED_TOPIC
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC
 from pipelines.session.setup.table import STEREO, Setup
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import JOYSTICK, ROBOT, Topology
-from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.page import NO_PICTURE, PageDevice
+from telepresence.haptics.device.page import NO_PICTURE
 from telepresence.haptics.envelope import Hold, SafetyEnvelope, SafetyLimits
 from telepresence.haptics.robot import RobotCapabilities
 from telepresence.tasks.definitions import ControlMode
@@ -137,17 +131,19 @@ def within(limits: SafetyLimits, capabilities: RobotCapabilities | None) -> Safe
     )
 
 
-def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
-    """Return what joins the robot's emergency stop with the one that the machine keeps."""
-    envelope = end.envelope
-    known = False
+class FollowedStop:
+    """The robot's emergency stop, joined with the one that the machine keeps."""
 
-    def follow(now_ns: int) -> None:
-        nonlocal known
+    def __init__(self, kept: KeptOrders, envelope: SafetyEnvelope) -> None:
+        self._kept, self._envelope = kept, envelope
+        self._known = False
+
+    def follow(self, now_ns: int) -> None:
+        kept, envelope = self._kept, self._envelope
         ordered = kept.stopped
-        if ordered and not known:
+        if ordered and not self._known:
             envelope.handle_stop(now_ns, kept.stopped_by)
-        elif known and not ordered:
+        elif self._known and not ordered:
             envelope.handle_stop_released(now_ns, kept.released_by)
         elif envelope.stopped and not ordered:
             # A stop that cannot be kept holds in this process, and is tried again.
@@ -158,9 +154,7 @@ def follow_stop(kept: KeptOrders, end: RobotEnd) -> Cycle:
             # By a telecommand.
             kept.release("a telecommand")
             ordered = False
-        known = ordered
-
-    return follow
+        self._known = ordered
 
 
 #: How long the robot may take to answer a stop here, and across the radio.
@@ -199,69 +193,3 @@ def await_stopped(session: str, ordered_ns: int, *, stopped: bool = True) -> str
         return f"{status.stopped_by} orders the stop, too: release it there"
     seconds = f"{since_ns / NS_PER_S:.1f} s"
     return f"the robot has not answered for {seconds}: look at it, and take its power there"
-
-
-def keep_robot(kept: KeptOrders, service: RobotCommands) -> Cycle:
-    """Return what keeps power and mode of the robot."""
-    last = service.orders
-    # Once the disk is full, a file that exists can still be emptied.
-    kept.keep(ROBOT, last)
-
-    def keep(_now_ns: int) -> None:
-        nonlocal last
-        orders = service.orders
-        if orders != last:
-            last = orders
-            kept.keep(ROBOT, orders)
-
-    return keep
-
-
-def keep_joystick(kept: KeptOrders, handle: OperatedHandle) -> Cycle:
-    """Return what keeps a person's orders, and puts the emergency stop into every sample."""
-    operation, bit = handle.operation, StopBit()
-    last = JoystickOrders(paused=operation.paused, experiment=operation.experiment)
-    kept.keep(JOYSTICK, last)
-
-    def keep(now_ns: int) -> None:
-        nonlocal last
-        # Each order has its instant as its name; 1 if the instant is not known.
-        ordered_ns = (kept.stopped_at_ns or 1) if kept.stopped else None
-        handle.stop = bit.handle_order(ordered_ns, handle.robot_stopped, now_ns)
-        orders = JoystickOrders(paused=operation.paused, experiment=operation.experiment)
-        if orders != last:
-            last = orders
-            kept.keep(JOYSTICK, orders)
-
-    return keep
-
-
-def look_at_picture(bus: TopicBus, topology: Topology, handle: OperatedHandle) -> Cycle:
-    """Return what tells the robot, in every sample, that the operator's picture is too old."""
-    setup = topology.setup
-    view, device = OperatorView(setup), handle.device
-    reader = TopicReader(bus, topology.video(setup.uplink_video.name).lag_topic)
-
-    def look(now_ns: int) -> None:
-        if (lag := reader.latest()) is not None:
-            view.handle_shown(*lag)
-        painted_ns = device.picture_ns if isinstance(device, PageDevice) else NO_PICTURE
-        handle.blind = view.is_blind(now_ns, painted_ns)
-
-    return look
-
-
-def watch_camera(bus: TopicBus, setup: Setup, end: RobotEnd) -> Cycle:
-    """Return what holds the robot at a change of the camera, and at half a frozen picture."""
-    watch = CameraWatch(setup, end.envelope)
-    choices = TopicReader(bus, SELECTED_TOPIC)
-    halves = TopicReader(bus, HALVES_TOPIC) if STEREO in setup.cameras else None
-
-    def look(now_ns: int) -> None:
-        if (choice := choices.latest()) is not None:
-            watch.handle_choice(choice.camera)
-        if halves is not None and (oldest_ns := halves.latest()) is not None:
-            watch.handle_halves(oldest_ns)
-        watch.handle_time(now_ns)
-
-    return look

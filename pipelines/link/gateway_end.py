@@ -4,8 +4,9 @@ from kontur_av.clock import NS_PER_MS
 from pipelines.link.link_metrics import WayInMetrics
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import ClockRow, LoopMetrics
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology.table import Topology
 from pipelines.session.training import Exercises
 from telepresence.link.gateway import Gateway
 from telepresence.link.link_metrics import GatewayMetrics, PeerMetrics

@@ -30,7 +30,8 @@ from pipelines.session.datagrams import (
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import StreamOptions
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.table import Topology
 from telepresence.link.link_metrics import PeerMetrics, address_text
 from telepresence.link.profile import LinkProfile
 

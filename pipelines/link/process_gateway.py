@@ -33,8 +33,11 @@ from pipelines.session.datagrams import (
 )
 from pipelines.session.process import Context
 from pipelines.session.session_metrics import LatenessRow, SendingRow
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Frames, Segment, Topology
+from pipelines.session.topology.rows import Frames
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
+from pipelines.session.topology.table import Topology
 from pipelines.session.training import TRAINER_TOPIC, Exercises
 from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.frame import MAX_PACKET_OCTETS

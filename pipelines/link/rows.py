@@ -1,7 +1,9 @@
 """The processes of the radio link."""
 
 from pipelines.link.link_metrics import gateway_topic, link_state_topic
-from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Segment, Stage, Topology
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import LOOP_PRIORITY, ProcessRow, Stage
+from pipelines.session.topology.table import Topology
 from pipelines.session.training import TRAINER_TOPIC
 
 

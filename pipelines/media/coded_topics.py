@@ -1,130 +1,157 @@
-"""The topics for readers that decode a stream themselves. They cost nothing while nobody reads."""
+"""The topics of access units, for readers that decode a stream themselves.
 
+They cost nothing while nobody reads. A reader that joins gets a key picture, because a stream
+seldom has one:
+
+- of H.264 the newest picture is coded anew here, in a thread, and published as `added` with the
+  number of its unit. A sender has no decoded picture, so it takes what was filmed. That resembles
+  the stream until the next refresh wave;
+- of HEVC no decoder goes on from other pictures. So the stream's own coder is asked for one.
+"""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from itertools import count
 
-from kontur_av.clock import NS_PER_S
+import numpy as np
+
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.decoder import DecodedPicture
-from kontur_av.media import AccessUnit, CaptureStamp, Quality, VideoCodec
+from kontur_av.media import I420, AccessUnit, CaptureStamp, Quality
 from kontur_av.rtp.nal_formats import parameter_sets_of
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
-from kontur_av.topics.bus import TopicBus, Writer
-from pipelines.session.setup.table import VideoStream
+from kontur_av.topics.bus import TopicBus
+from pipelines.media.key_picture_maker import key_of
 
 #: Room for most units; the topic makes more for a larger one.
 _USUAL_OCTETS = 16 << 10
+#: Key pictures that are made here are this far apart, and readers are looked for this often.
+_APART_NS, _LOOK_NS = 250 * NS_PER_MS, 20 * NS_PER_MS
+#: How long a coder of HEVC is asked for a key picture, and how far apart that begins.
+_ASKED_NS, _ASKED_APART_NS = 3 * NS_PER_S, 10 * NS_PER_S
 
 
-#: How long a key picture is asked for, and how far apart that begins.
-_ASKED_NS, _APART_NS = 3 * NS_PER_S, 10 * NS_PER_S
+class _CodedTopic:
+    """The units of one stream. Call `poll` at each wake-up."""
 
-
-class _NewReaders:
-    """Notices who begins to read HEVC, and needs a key picture of the stream itself."""
-
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        self._joins = 0
-        self._waiting = False
-        self._asked_ns: int | None = None
-
-    def handle_unit(self, codec: VideoCodec, now_ns: int, *, key: bool) -> bool:
-        """A unit is to be published; return whether to ask for a key picture."""
-        before, self._joins = self._joins, self._writer.joins()
-        if key or codec == "h264" or not self._writer.has_readers():
-            self._waiting = False
-            return False
-        self._waiting |= self._joins > before
-        if self._waiting and (self._asked_ns is None or now_ns - self._asked_ns >= _APART_NS):
-            self._asked_ns = now_ns
-        if self._asked_ns is None or now_ns - self._asked_ns >= _ASKED_NS:
-            return False
-        return self._waiting
-
-
-class ReceivedTopics:
-    """What a stream's receiver got and decoded: the topics `coded` and `decoded`."""
-
-    def __init__(self, bus: TopicBus, stream: VideoStream, *, coded: str, decoded: str) -> None:
-        self._source = stream.name
+    def __init__(self, bus: TopicBus, source: str, topic: str) -> None:
+        self._source = source
         self._numbers = count()
-        self._coded = bus.writer(coded, max_octets=_USUAL_OCTETS)
-        self._decoded = bus.writer(decoded, max_octets=stream.width * stream.height * 3 // 2)
-        self._new_readers = _NewReaders(self._coded)
+        self._writer = bus.writer(topic, max_octets=_USUAL_OCTETS)
         self._sets = b""
-        self._size: tuple[int, int] | None = None
-        self._shown: CaptureStamp | None = None
+        self._joins = self._looked_ns = 0
+        #: Whether a reader waits for a key picture, and when one was asked for or made.
+        self._waiting = False
+        self._key_ns: int | None = None
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="key pictures")
+        self._newest: tuple[I420 | DecodedPicture, CodedUnit, CaptureStamp] | None = None
+        self._making: tuple[Future[bytes], CodedUnit, CaptureStamp] | None = None
+
+    def poll(self, now_ns: int) -> None:
+        """Publish a key picture that is ready, and see who joins while no units come."""
+        if self._making is not None and self._making[0].done():
+            (made, unit, stamp), self._making = self._making, None
+            key = replace(unit, data=made.result(), key=True, damaged=False, added=True)
+            self._publish(key, stamp)
+        if now_ns - self._looked_ns >= _LOOK_NS:
+            self._look(now_ns)
+            self._make_key(now_ns)
+
+    def _handle(
+        self,
+        unit: CodedUnit,
+        stamp: CaptureStamp,
+        now_ns: int,
+        picture: I420 | DecodedPicture | None,
+    ) -> bool:
+        """Publish a unit. Return whether the coder is to be asked for a key picture.
+
+        picture: what a decoder shows after it, as nearly as it is known; None: it is unknown.
+        """
+        # Also without a reader, because one that comes later needs them.
+        self._sets = parameter_sets_of(unit.data, unit.codec) or self._sets
+        unit = replace(unit, parameter_sets=self._sets)
+        self._look(now_ns, key=unit.key and not unit.damaged)
+        self._publish(unit, stamp)
+        if unit.codec == "h264":
+            self._newest = self._newest if picture is None else (picture, unit, stamp)
+            self._make_key(now_ns)
+            return False
+        if self._waiting and (self._key_ns is None or now_ns - self._key_ns >= _ASKED_APART_NS):
+            self._key_ns = now_ns
+        return self._waiting and self._key_ns is not None and now_ns - self._key_ns < _ASKED_NS
+
+    def _look(self, now_ns: int, *, key: bool = False) -> None:
+        """See who has joined. key: a key picture is about to be published."""
+        self._looked_ns = now_ns
+        before, self._joins = self._joins, self._writer.joins()
+        waiting = not key and (self._waiting or self._joins > before)
+        self._waiting = waiting and self._writer.has_readers()
+
+    def _make_key(self, now_ns: int) -> None:
+        soon = self._key_ns is not None and now_ns - self._key_ns < _APART_NS
+        if not self._waiting or self._newest is None or self._making is not None or soon:
+            return
+        picture, unit, stamp = self._newest
+        self._waiting, self._key_ns = False, now_ns
+        kept = picture.copy() if isinstance(picture, np.ndarray) else picture
+        made = self._thread.submit(key_of, kept, unit.width, unit.height)
+        self._making = made, unit, stamp
+
+    def _publish(self, unit: CodedUnit, stamp: CaptureStamp) -> None:
+        if len(unit.data) <= MOST_UNIT_OCTETS and self._writer.has_readers():
+            self._writer.publish_octets(unit.pack(), stamp)
+
+
+class ReceivedTopic(_CodedTopic):
+    """The units that the receiver of a stream got, and its decoder took."""
+
+    _picture: DecodedPicture | None = None
+    _shown: CaptureStamp | None = None
 
     def handle_picture(self, picture: DecodedPicture, shown: CaptureStamp | None) -> None:
         """The decoder returned a picture. shown: its stamp; None: it is not shown."""
-        self._size, self._shown = (picture.width, picture.height), shown
-        if shown is not None and self._decoded.has_readers():
-            loan = self._decoded.loan_picture(picture.width, picture.height)
-            picture.copy_to(loan.picture)
-            loan.publish(shown)
+        self._picture, self._shown = picture, shown
 
     def handle_unit(self, unit: ReceivedUnit, capture_ns: int | None) -> bool:
         """The decoder has taken a unit, and `handle_picture` was called for its picture.
 
-        capture_ns: when it was captured; None: not known yet. Return whether a reader needs a key
-        picture.
+        capture_ns: when it was captured; None: not known yet. Return whether the sender is to be
+        asked for a key picture.
         """
-        key = unit.keyframe and not unit.damaged
-        wanted = self._new_readers.handle_unit(unit.codec, unit.received_ns, key=key)
-        number, size, shown = next(self._numbers), self._size, self._shown
-        self._size = self._shown = None
-        # Also without a reader, because one that comes later needs them.
-        self._sets = parameter_sets_of(unit.data, unit.codec) or self._sets
-        if self._coded.has_readers():
-            coded, stamp = received_unit(
-                unit,
-                size=size,
-                shown=shown,
-                capture_ns=capture_ns,
-                sequence=number,
-                source=self._source,
-                parameter_sets=self._sets,
-            )
-            _publish(self._coded, coded, stamp)
-        return wanted
+        picture, shown = self._picture, self._shown
+        self._picture = self._shown = None
+        coded, stamp = received_unit(
+            unit,
+            size=None if picture is None else (picture.width, picture.height),
+            shown=shown,
+            capture_ns=capture_ns,
+            sequence=next(self._numbers),
+            source=self._source,
+        )
+        return self._handle(coded, stamp, unit.received_ns, None if coded.refused else picture)
 
 
-class SentTopic:
-    """The access units that the sender of the stream `name` made."""
+class SentTopic(_CodedTopic):
+    """The units that the sender of a stream made."""
 
-    def __init__(self, bus: TopicBus, name: str, topic: str) -> None:
-        self._source = name
-        self._numbers = count()
-        self._writer = bus.writer(topic, max_octets=_USUAL_OCTETS)
-        self._new_readers = _NewReaders(self._writer)
-        self._sets = b""
-
-    def handle_unit(self, unit: AccessUnit, size: tuple[int, int]) -> bool:
+    def handle_unit(
+        self, unit: AccessUnit, size: tuple[int, int], picture: I420 | DecodedPicture | None
+    ) -> bool:
         """A unit was encoded in `size`, and its packets leave.
 
-        Return whether a reader needs a key picture.
+        picture: of which it was made. It may change after this call.
+        Return whether the encoder is to be asked for a key picture.
         """
+        coded = CodedUnit(
+            data=unit.data, key=unit.keyframe, width=size[0], height=size[1], codec=unit.codec
+        )
         now_ns = unit.stamp.capture_ns
-        wanted = self._new_readers.handle_unit(unit.codec, now_ns, key=unit.keyframe)
-        number = next(self._numbers)
-        # Also without a reader, because one that comes later needs them.
-        self._sets = parameter_sets_of(unit.data, unit.codec) or self._sets
-        if self._writer.has_readers():
-            coded = CodedUnit(
-                data=unit.data,
-                key=unit.keyframe,
-                width=size[0],
-                height=size[1],
-                parameter_sets=self._sets,
-                codec=unit.codec,
-            )
-            _publish(self._writer, coded, CaptureStamp(now_ns, number, self._source))
+        stamp = CaptureStamp(now_ns, next(self._numbers), self._source)
+        wanted = self._handle(coded, stamp, now_ns, picture)
+        self._newest = None
         return wanted
-
-
-def _publish(writer: Writer, coded: CodedUnit, stamp: CaptureStamp) -> None:
-    if len(coded.data) <= MOST_UNIT_OCTETS:
-        writer.publish_octets(coded.pack(), stamp)
 
 
 def received_unit(
@@ -135,14 +162,13 @@ def received_unit(
     capture_ns: int | None,
     sequence: int,
     source: str,
-    parameter_sets: bytes,
 ) -> tuple[CodedUnit, CaptureStamp]:
     """Return a received access unit and its stamp.
 
     size: width and height of its picture in pixels; None: the decoder returned none.
     shown: the stamp with which the picture was published; None: it was not.
     capture_ns: when it was captured; None: not known yet.
-    sequence: number of the unit. source: the stream. parameter_sets: the newest of the stream.
+    sequence: number of the unit. source: the stream.
     """
     # A dated picture that is not published is too large.
     refused = size is None or (shown is None and capture_ns is not None)
@@ -156,7 +182,6 @@ def received_unit(
         dated=capture_ns is not None,
         width=width,
         height=height,
-        parameter_sets=parameter_sets,
         codec=unit.codec,
     )
     return coded, CaptureStamp(

@@ -16,7 +16,7 @@ from pipelines.session.mission_messages import MISSION_LEDS_TOPIC
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS, VideoStream
 from pipelines.session.topic_ends import TopicReader, TopicWriter, newest_state
-from pipelines.session.topology import InputRow
+from pipelines.session.topology.rows import InputRow
 from pipelines.session.training import TRAINER_TOPIC
 from telepresence.world import audio_scenes, video_scenes
 

@@ -22,7 +22,7 @@ from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicWriter
-from pipelines.session.topology import displayed_topic, received_topic
+from pipelines.session.topology.topics import displayed_topic, received_topic
 
 
 def run_snapshots(context: Context) -> None:

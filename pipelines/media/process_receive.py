@@ -11,7 +11,7 @@ from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AudioFrame
 from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.session_files import remember, session_root
-from pipelines.media.coded_topics import ReceivedTopics
+from pipelines.media.coded_topics import ReceivedTopic
 from pipelines.media.stream_metrics import note_arrivals, voice_receiver
 from pipelines.media.video_ends import VideoReceiveEnd
 from pipelines.session.datagrams import receive
@@ -82,7 +82,7 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
         to_sender = context.sender(context.topology.entry_port(row.feedback))
         largest_octets = stream.width * stream.height * 3 // 2
         writer = bus.writer(row.received_topic, max_octets=largest_octets)
-        topics = ReceivedTopics(bus, stream, coded=row.coded_topic, decoded=row.decoded_topic)
+        topic = ReceivedTopic(bus, stream.name, row.coded_topic)
         while not context.stopping:
             context.tick(clock.now_ns())
             incoming.wait(end.poll_timeout())
@@ -98,9 +98,10 @@ def run_video_receive(context: Context, *, stream: VideoStream) -> None:
                         # Noted before publishing, because the display may be faster.
                         decoded.add(DecodedRow(picture.timestamp, clock.now_ns()))
                         loan.publish(stamp)
-                    topics.handle_picture(picture, stamp)
-                if topics.handle_unit(unit, end.capture_ns(unit.timestamp)):
+                    topic.handle_picture(picture, stamp)
+                if topic.handle_unit(unit, end.capture_ns(unit.timestamp)):
                     end.handle_new_viewer()
+            topic.poll(clock.now_ns())
             feedback = end.poll_feedback(clock.now_ns())
             if feedback is not None:
                 to_sender(feedback)

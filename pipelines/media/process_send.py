@@ -4,15 +4,20 @@ import secrets
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from kontur_av.clock import Clock
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
+from kontur_av.media import VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.following import FOLLOWED_TOPIC, SELECTED_TOPIC
 from pipelines.media.stream_metrics import Outgoing, publish_sender, voice_sender
-from pipelines.media.video_ends import VideoSendEnd
+from pipelines.media.video_ends import ToEncode, VideoSendEnd
 from pipelines.session.datagrams import receive
 from pipelines.session.mission_messages import ROBOT_TOPIC
 from pipelines.session.process import Context, wait_ns
@@ -60,6 +65,56 @@ class VideoOutlet:
         end.handle_time(clock.now_ns())
         while (datagram := receive(self.feedback)) is not None:
             end.handle_feedback(datagram, clock.now_ns())
+        self.sent.poll(clock.now_ns())
+
+
+class _Pictures:
+    """The newest picture of a topic, which may change, and the one that is being encoded.
+
+    readers: that of the topic; none before the first choice of a camera.
+    """
+
+    def __init__(self, bus: TopicBus, topic: str | None) -> None:
+        self._bus = bus
+        self.readers = [] if topic is None else [bus.reader(topic)]
+        #: Of earlier topics. One is closed once no picture of it is being encoded.
+        self._earlier: list[Reader] = []
+        self._encoded: Lease | None = None
+
+    def turn_to(self, topic: str) -> None:
+        self._earlier += self.readers
+        self.readers = [self._bus.reader(topic)]
+        if self._encoded is None:
+            self.release()
+
+    def hand_to(self, end: VideoSendEnd[Lease], clock: Clock) -> None:
+        """Hand over the newest picture, if there is a new one."""
+        for reader in self.readers:
+            if reader.has_new():
+                # Dropped first: a reader can hold two samples and the one that it takes.
+                end.drop()
+                before = reader.skipped
+                if (lease := reader.latest()) is not None:
+                    skipped = reader.skipped - before
+                    end.handle_picture(lease, lease.stamp, clock.now_ns(), skipped=skipped)
+
+    def frame_of(self, work: ToEncode[Lease]) -> VideoFrame:
+        """Keep this picture until `release`."""
+        self._encoded = work.picture
+        return replace(work.picture.video(), stamp=work.stamp)
+
+    def encoded(self) -> NDArray[np.uint8]:
+        """The pixels of the picture that was encoded, until `release`."""
+        assert self._encoded is not None
+        return self._encoded.video().data
+
+    def release(self) -> None:
+        """No picture is being encoded any more."""
+        if self._encoded is not None:
+            self._encoded.release()
+            self._encoded = None
+        while self._earlier:
+            self._earlier.pop().close()
 
 
 def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) -> None:
@@ -77,62 +132,41 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
             coded_size=stream.coded,
             regions=end.regions,
         )
-        choices = TopicReader(bus, SELECTED_TOPIC) if follows else None
+        choices = TopicReader(bus, SELECTED_TOPIC, opened=follows)
+        chosen = [choices.port] if choices.port else []
         confirmed = TopicWriter(bus, FOLLOWED_TOPIC, wake=True) if follows else None
-        robot = TopicReader(bus, ROBOT_TOPIC) if end.regions else None
-        reader = None if topic is None else bus.reader(topic)
-        #: The picture in the encoder; readers of earlier cameras, closed when it is none of theirs.
-        encoded: Lease | None = None
-        retired: list[Reader] = []
+        robot = TopicReader(bus, ROBOT_TOPIC, opened=end.regions)
+        pictures = _Pictures(bus, topic)
         # The thread reads shared memory, so it ends before the bus.
         with EncodingThread(encoder, clock) as encoding:
             sockets = [outlet.feedback.fileno(), encoding.fileno()]
-            chosen = [] if choices is None else [choices.open()]
-            waiter = bus.waiter([*chosen, *([reader] if reader else [])], sockets)
+            waiter = bus.waiter([*chosen, *pictures.readers], sockets)
             while not context.stopping:
                 now_ns = clock.now_ns()
                 context.tick(now_ns)
                 waiter.wait(wait_ns(now_ns, end.poll_timeout(now_ns)))
-                choice = None if choices is None else choices.latest()
-                if choice is not None and end.handle_choice(choice):
-                    if reader is not None:
-                        retired.append(reader)
+                if (choice := choices.latest()) is not None and end.handle_choice(choice):
                     assert end.camera is not None
-                    reader = bus.reader(context.topology.camera(end.camera).topic)
+                    pictures.turn_to(context.topology.camera(end.camera).topic)
                     del waiter
-                    waiter = bus.waiter([*chosen, reader], sockets)
-                if reader is not None and reader.has_new():
-                    # Dropped first: a reader can hold two samples and the one that it takes.
-                    end.drop()
-                    skipped = reader.skipped
-                    if (lease := reader.latest()) is not None:
-                        skipped = reader.skipped - skipped
-                        end.handle_picture(lease, lease.stamp, clock.now_ns(), skipped=skipped)
+                    waiter = bus.waiter([*chosen, *pictures.readers], sockets)
+                pictures.hand_to(end, clock)
                 outlet.work()
-                if (done := encoding.poll()) is not None and encoded is not None:
-                    encoded.release()
-                    encoded = None
+                if (done := encoding.poll()) is not None:
                     end.handle_unit(done.unit, done.encoded_ns, clock.now_ns())
-                    if outlet.sent.handle_unit(done.unit, encoder.unit_size):
+                    if outlet.sent.handle_unit(done.unit, encoder.unit_size, pictures.encoded()):
                         end.handle_new_viewer()
-                if encoded is None:
-                    while retired:
-                        retired.pop().close()
+                    pictures.release()
                 number = end.poll_confirmed(clock.now_ns())
                 if confirmed is not None and number is not None:
                     confirmed.publish(number, clock.now_ns())
-                if robot is not None and (state := robot.latest()) is not None:
+                if (state := robot.latest()) is not None:
                     end.handle_state(state)
                 if (work := end.poll_encode(clock.now_ns())) is not None:
-                    encoded = work.picture
-                    frame = replace(encoded.video(), stamp=work.stamp)
-                    encoding.submit(frame, work.coding, work.region)
+                    encoding.submit(pictures.frame_of(work), work.coding, work.region)
             del waiter
         end.drop()
-        if encoded is not None:
-            encoded.release()
-        while retired:
-            retired.pop().close()
+        pictures.release()
         end.close(clock.now_ns())
 
 

@@ -4,22 +4,22 @@ from collections.abc import Iterable
 
 from pipelines.media.following import FOLLOWED_TOPIC, HALVES_TOPIC, SELECTED_TOPIC
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC, ROBOT_TOPIC
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topic import AnyTopic
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import (
     PICTURE_PRIORITY,
-    STEREO_TOPIC,
     VOICE_PRIORITY,
     InputRow,
     Kind,
     MediaRow,
     ProcessRow,
-    Segment,
     Stage,
-    Topology,
     VideoRow,
     given,
 )
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import STEREO_TOPIC
 from pipelines.session.training import TRAINER_TOPIC
 
 
@@ -111,7 +111,6 @@ def _receiver(session: Topology, row: MediaRow) -> ProcessRow:
         writes=(
             row.received_topic,
             row.coded_topic,
-            *((row.decoded_topic,) if isinstance(row, VideoRow) else ()),
         ),
         what="receives and decodes pictures" if video else "receives and decodes sound",
     )

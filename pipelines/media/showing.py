@@ -11,8 +11,10 @@ from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
 from pipelines.media.media_metrics import DisplayMetrics
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import ClickRow, LightRow, ShownRow
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import STEREO, Setup, VideoStream, VoiceStream
-from pipelines.session.topology import Segment, Topology, VideoRow
+from pipelines.session.topology.rows import VideoRow
+from pipelines.session.topology.table import Topology
 
 #: How often the age on a stale picture is drawn anew.
 REDRAW_NS = 100 * NS_PER_MS

@@ -18,7 +18,7 @@ from pipelines.media.media_metrics import GainMetrics
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import CodingRow, OutRow, RxRow, TxRow
 from pipelines.session.setup.table import VIDEO_PAYLOAD_OCTETS, Setup, VideoStream, VoiceStream
-from pipelines.session.topology import Topology
+from pipelines.session.topology.table import Topology
 
 #: How often a sender reports. The link has room for it: `telepresence.link.arithmetic.RESERVE_BPS`.
 REPORT_INTERVAL_NS = 2 * NS_PER_S

@@ -30,7 +30,7 @@ from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
 from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary
 from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topology import displayed_topic, page_topic
+from pipelines.session.topology.topics import displayed_topic, page_topic
 
 _CLIENT = "JoinedSession"
 _LOOK_NS = 200 * NS_PER_MS

@@ -22,8 +22,10 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.requests import RequestServer
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import PANEL, Segment, leds_port
+from pipelines.session.topology.streams import leds_port
+from pipelines.session.topology.topics import PANEL
 from pipelines.session.training import (
     TRAINER_SOCKET,
     TRAINER_TOPIC,

@@ -47,9 +47,11 @@ from pipelines.session.recording_requests import (
     StopRecording,
 )
 from pipelines.session.requests import ask
+from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import KEPT, LinkMeanwhile
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import TASKS, Segment, leds_port
+from pipelines.session.topology.streams import leds_port
+from pipelines.session.topology.topics import TASKS
 from pipelines.session.training import TRAINER_TOPIC
 from telepresence.malformed import MALFORMED
 from telepresence.tasks.definitions import ControlMode

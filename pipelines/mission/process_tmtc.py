@@ -42,16 +42,14 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.requests import RequestServer
-from pipelines.session.session_metrics import ProcessState
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import (
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
+from pipelines.session.topology.topics import (
     SELECTOR,
-    TELECOMMAND,
     TELECOMMAND_KIND,
-    TELEMETRY,
     TELEMETRY_KIND,
     WALL_TOPIC,
-    Segment,
     component_process,
     packet_topics,
 )
@@ -63,8 +61,6 @@ from telepresence.tmtc.telemetry_source import Component, load_telemetry
 
 #: Each state of the joystick or the robot may answer another telecommand.
 _STATES = 16
-
-_STATES_TOLD = msgspec.json.Decoder(list[ProcessState])
 
 
 class _PacketTopics:
@@ -151,8 +147,8 @@ class TmtcServer:
                 take(sample, now_ns)
         self._now_ns = now_ns
         self.requests.serve()
-        while (told := self._context.receive_metrics()) is not None:
-            tmtc.handle_processes(_STATES_TOLD.decode(told), now_ns)
+        while (told := self._context.receive_news()) is not None:
+            tmtc.handle_processes(told.processes, now_ns)
         while (packet := end.poll_transmit(now_ns)) is not None:
             self._send(packet)
             self._packets.publish(packet, "sent", now_ns)

@@ -15,7 +15,11 @@ from pipelines.session.mission_messages import (
     ROBOT_TOPIC,
     SECOND_ROBOT_TOPIC,
 )
-from pipelines.session.topology import (
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import ProcessRow, Stage, given
+from pipelines.session.topology.streams import leds_port
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     CONSOLE,
     LEDS,
     PANEL,
@@ -23,13 +27,7 @@ from pipelines.session.topology import (
     TASKS,
     TRAINER,
     WALL_TOPIC,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
     component_process,
-    given,
-    leds_port,
     packet_topics,
 )
 from pipelines.session.training import TRAINER_TOPIC

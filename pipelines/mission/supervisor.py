@@ -8,16 +8,18 @@ figures, and carries the orders out: a stopped process stays stopped until it is
 import re
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.mission.choosing import CAMERA
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, RaiseEvent, SetValues
 from pipelines.mission.tmtc_messages import Values as TmtcValues
-from pipelines.session.session_metrics import LEFT_OUT_SHARE, LoopMetrics, ProcessState
+from pipelines.session.session_metrics import LEFT_OUT_SHARE, LoopMetrics, ProcessNow
 from pipelines.session.session_switch import ProcessOrder
-from pipelines.session.topology import LOOP_PRIORITY, ProcessRow, Segment, Topology
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import LOOP_PRIORITY, ProcessRow
+from pipelines.session.topology.table import Topology
 from telepresence.tmtc.pus.dictionary import (
     Application,
     Dictionary,
@@ -173,7 +175,7 @@ def _event(process: str, event: str, names: dict[str, str]) -> str:
 class _Known:
     """The newest that the launcher has told of a process."""
 
-    told: ProcessState
+    told: ProcessNow
     at_ns: int
 
 
@@ -215,13 +217,13 @@ class ProcessSupervisor:
         self._open.append(asked)
         return True
 
-    def handle_told(self, told: Sequence[ProcessState], now_ns: int) -> None:
+    def handle_told(self, told: Sequence[ProcessNow], now_ns: int) -> None:
         """What the launcher says of the processes of this machine."""
         here = {one.name: one for one in told}
         values: TmtcValues = {}
         events: list[str] = []
         for row in self._rows.values():
-            one = here.get(row.name, ProcessState(name=row.name, state="absent"))
+            one = here.get(row.name, ProcessNow(name=row.name, state="absent"))
             before = self._known.get(row.name)
             values |= self._values(row, one, before, now_ns)
             if before is not None and before.told.state != one.state:
@@ -258,22 +260,23 @@ class ProcessSupervisor:
         self._open = still
 
     def _values(
-        self, row: ProcessRow, one: ProcessState, before: _Known | None, now_ns: int
+        self, row: ProcessRow, one: ProcessNow, before: _Known | None, now_ns: int
     ) -> TmtcValues:
         name = self._names[row.name]
         cpu = left_out = 0.0
         if before is not None:
             took_ns = max(1, now_ns - before.at_ns)
             cpu = 100 * (one.cpu_s - before.told.cpu_s) * NS_PER_S / took_ns
-            slips = one.loop.slips - before.told.loop.slips
-            cycles = one.loop.cycles - before.told.loop.cycles
+            slips = one.slips - before.told.slips
+            cycles = one.cycles - before.told.cycles
             left_out = 100 * slips / max(1, slips + cycles)
         found: TmtcValues = {
             "state": one.state,
             "restarts": one.restarts,
             "cpu": cpu,
             "age": one.age_ms * NS_PER_MS / NS_PER_S,
-            **asdict(one.loop),
+            "slips": one.slips,
+            "cycles": one.cycles,
             "left_out": left_out,
         }
         return {f"{name}_{each.name}": found[each.name] for each in _gauges(row)}

@@ -8,8 +8,9 @@ from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews
 from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
 from pipelines.session.mission_messages import RobotCommand
-from pipelines.session.session_metrics import ProcessState
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.session_metrics import ProcessNow
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.table import Topology
 from telepresence.tmtc.pus.dictionary import Dictionary
 
 #: What joystick or robot is asked for.
@@ -63,7 +64,7 @@ class TmtcSegment:
             self.robot = RobotSource(end, first_number=first_number)
             self._request = self.robot.handle_asked
 
-    def handle_processes(self, states: Sequence[ProcessState], now_ns: int) -> None:
+    def handle_processes(self, states: Sequence[ProcessNow], now_ns: int) -> None:
         """What the launcher says of the processes of this machine."""
         self._supervisor.handle_told(states, now_ns)
         self._settle(now_ns)

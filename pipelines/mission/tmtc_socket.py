@@ -28,8 +28,8 @@ from pipelines.mission.tmtc_messages import (
     plain_fields,
 )
 from pipelines.session.requests import post
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import Segment
 from telepresence.tmtc.k2aci import K2aciMessage
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.retransmission import Retransmission

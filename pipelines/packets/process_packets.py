@@ -43,14 +43,9 @@ from pipelines.session.session_metrics import SampleNumbers
 from pipelines.session.setup.segments import Direction
 from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader
-from pipelines.session.topology import (
-    FRAMES,
-    PACKETS,
-    TELEMETRY_KIND,
-    Frames,
-    Topology,
-    packet_topics,
-)
+from pipelines.session.topology.rows import Frames
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import FRAMES, PACKETS, TELEMETRY_KIND, packet_topics
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.head import MAX_PACKET_OCTETS

@@ -1,16 +1,10 @@
 """The processes that another ground system talks to."""
 
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
-from pipelines.session.topology import (
-    FRAMES,
-    PACKETS,
-    TELEMETRY_KIND,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
-    packet_topics,
-)
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import ProcessRow, Stage
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import FRAMES, PACKETS, TELEMETRY_KIND, packet_topics
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

@@ -9,10 +9,12 @@ import hmac
 import re
 from contextlib import suppress
 from dataclasses import dataclass
-
-from aiortc import RTCIceServer
+from typing import TYPE_CHECKING
 
 from kontur_av.errors import ConfigError
+
+if TYPE_CHECKING:
+    from aiortc import RTCIceServer
 
 #: How long credentials last. A connection that stands longer asks for new ones when ICE restarts.
 LASTING_S = 3600
@@ -55,7 +57,9 @@ class IceServers:
         if self.relay_only and not any(server.url.startswith("turn") for server in self.servers):
             raise ConfigError("--ice-relay-only: give --ice-server turn:HOST, too")
 
-    def for_aiortc(self) -> list[RTCIceServer]:
+    def for_aiortc(self) -> "list[RTCIceServer]":
+        from aiortc import RTCIceServer  # takes 0.13 s
+
         return [
             RTCIceServer(
                 urls=one.url, username=one.username or None, credential=one.credential or None

@@ -11,22 +11,21 @@ from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
-from pipelines.media.coded_topics import ReceivedTopics, SentTopic
+from pipelines.media.coded_topics import ReceivedTopic, SentTopic
 from pipelines.media.following import SELECTED_TOPIC
 from pipelines.partner.decisions import RTC_REQUEST_TOPIC, CodingRequest, PicturePlan
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import GROUND_MIC
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import (
+from pipelines.session.topology.streams import partner_camera
+from pipelines.session.topology.topics import (
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
     RTC_CODED_CAMERA_TOPIC,
-    RTC_DECODED_CAMERA_TOPIC,
     RTC_SPEECH_TOPIC,
     RTC_UNITS_TOPIC,
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
-    partner_camera,
 )
 
 
@@ -73,11 +72,12 @@ def run_rtc_encode(context: Context) -> None:
                     plan.handle_rate(request.bps)
             done = encoding.poll()
             if done is not None and encoded is not None:
+                plan.handle_coded(len(done.unit.data), done.encoded_ns)
+                pictures.handle_unit(done.unit, encoder.unit_size, encoded.video().data)
                 encoded.release()
                 encoded = None
                 camera.close_retired()
-                plan.handle_coded(len(done.unit.data), done.encoded_ns)
-                pictures.handle_unit(done.unit, encoder.unit_size)
+            pictures.poll(clock.now_ns())
             lease = None if encoded is not None else camera.newest()
             if lease is not None:
                 coding = plan.handle_picture(clock.now_ns()) if request.bps else None
@@ -155,9 +155,7 @@ def run_rtc_camera(context: Context) -> None:
     with context.open_bus() as bus:
         units = bus.reader(RTC_UNITS_TOPIC, depth=_DEPTH)
         writer = bus.writer(RTC_CAMERA_TOPIC, max_octets=stream.width * stream.height * 3 // 2)
-        topics = ReceivedTopics(
-            bus, stream, coded=RTC_CODED_CAMERA_TOPIC, decoded=RTC_DECODED_CAMERA_TOPIC
-        )
+        topic = ReceivedTopic(bus, RTC_CAMERA, RTC_CODED_CAMERA_TOPIC)
         while not context.stopping:
             context.tick(clock.now_ns())
             units.wait(TIMEOUT_NS)
@@ -172,7 +170,7 @@ def run_rtc_camera(context: Context) -> None:
                 for picture in decoder.decode(unit.data, timestamp):
                     # An unknown sender's picture must not make shared memory grow.
                     if picture.width * picture.height > most_pixels:
-                        topics.handle_picture(picture, None)
+                        topic.handle_picture(picture, None)
                         continue
                     corrupted = picture.corrupt or stamp.quality is Quality.DAMAGED
                     quality = Quality.DAMAGED if corrupted else Quality.FRESH
@@ -181,8 +179,9 @@ def run_rtc_camera(context: Context) -> None:
                     loan = writer.loan_picture(stream.width, stream.height)
                     picture.scale_into(loan.picture)
                     loan.publish(seen)
-                    topics.handle_picture(picture, seen)
+                    topic.handle_picture(picture, seen)
                 came = ReceivedUnit(
                     unit.data, timestamp, unit.key, unit.damaged, 0, clock.now_ns(), clock.now_ns()
                 )
-                topics.handle_unit(came, stamp.capture_ns)
+                topic.handle_unit(came, stamp.capture_ns)
+            topic.poll(clock.now_ns())

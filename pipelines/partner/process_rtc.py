@@ -5,15 +5,13 @@ import asyncio
 from collections.abc import Callable
 from itertools import count
 
-from kontur_av.clock import NS_PER_US
 from kontur_av.codecs.opus import MAX_PACKET_SAMPLES
 from kontur_av.media import AccessUnit, AudioFrame, CaptureStamp, Quality
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.streams.voice_receiver import VoicePlayer
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.hand.hand_topics import ARM_ORDER_TOPIC
-from pipelines.media.key_picture_maker import KeyPictureMaker
-from pipelines.media.unit_history import KeptUnit, UnitHistory
+from pipelines.media.joined_units import JoinedUnits, StreamUnit
 from pipelines.partner.decisions import RTC_REQUEST_TOPIC, UplinkRequest
 from pipelines.partner.description import Kind
 from pipelines.partner.ice_servers import IceServers
@@ -24,12 +22,11 @@ from pipelines.partner.samples import SamplePorts
 from pipelines.partner.server import RtcServer
 from pipelines.partner.tally import ConnectionSeen, SampleTally, Tally
 from pipelines.partner.tracks import PartnerTime
-from pipelines.session.page_messages import UNKNOWN_US
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.setup.table import RtcLeg, VideoStream
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import (
+from pipelines.session.topology.topics import (
     RTC,
     RTC_CAMERA,
     RTC_CODED_VOICE_TOPIC,
@@ -40,19 +37,13 @@ from pipelines.session.topology import (
     RTC_VIDEO_TOPIC,
     RTC_VOICE,
     RTC_VOICE_TOPIC,
-    VideoRow,
 )
 from telepresence.haptics.authority import Authority
 
 #: The programmes, as their addresses name them.
 UPLINK, DOWNLINK = "uplink", "downlink"
 _DEPTH = 8
-#: A replay for a late comer is short: a picture that is coded here is taken rather than that.
-_MOST_REPLAYED_PIXELS = 4_000_000
 _UNITS_OCTETS = 64 << 10
-#: Coarser than for a page beside: a partner's network takes a while for a key picture. The next
-#: refresh wave brings the rest.
-_QUANTIZER = 22
 
 
 def run_rtc(context: Context, *, servers: Callable[[], IceServers] = IceServers) -> None:
@@ -111,11 +102,11 @@ class _Leg:
         finally:
             for feed in feeds:
                 feed.close()
-            self._downlink.close()
             await self._server.close()
 
     def _handle_time(self, _: int) -> None:
         self._uplink.handle_time()
+        self._downlink.handle_time()
         order = None if self._orders is None else self._orders.latest()
         if order is not None:
             self._lent = order is Authority.PARTNER
@@ -205,6 +196,8 @@ class _Uplink:
 
     def _unit(self, lease: Lease) -> None:
         unit, stamp = CodedUnit.unpack(lease.octets()), lease.stamp
+        if unit.added:
+            return  # their decoders are served by the coder itself
         now_ns, octets = self._clock.now_ns(), len(unit.data)
         if self.request.handle_unit(stamp.sequence, octets, key=unit.key, now_ns=now_ns):
             self._publish()
@@ -218,14 +211,14 @@ class _Downlink:
     """The downlink's picture and voice, passed on as they were received.
 
     Nothing is asked of their sender: it must not spend the radio's octets for a partner. Who joins
-    gets a key picture that is coded here, and the units since.
+    gets a key picture that the receiver codes, and the units since.
     """
 
     def __init__(self, context: Context, bus: TopicBus, loop: asyncio.AbstractEventLoop) -> None:
-        setup, self._clock, self._loop, self._bus = context.setup, context.clock, loop, bus
+        setup, self._clock = context.setup, context.clock
         sends: dict[Kind, int] = {}
         self.feeds: list[Feed] = []
-        self._decoded_topic = ""
+        self._pictures: Feed | None = None
         for stream in (setup.downlink_video, setup.downlink_voice):
             if stream is None:
                 continue
@@ -234,27 +227,29 @@ class _Downlink:
             sends["video" if video else "audio"] = stream.cap_bps
             handle = self._unit if video else self._packet
             self.feeds.append(Feed(loop, bus, row.coded_topic, handle, depth=_DEPTH))
-            if isinstance(row, VideoRow):
-                self._decoded_topic = row.decoded_topic
+            if video:
+                self._pictures = self.feeds[-1]
         self.programme = Programme(DOWNLINK, sends=sends, want_key=self._want_key)
-        self._history = UnitHistory(pictures=True, most_pixels=_MOST_REPLAYED_PIXELS)
+        self._joined = JoinedUnits()
         self._waiting: set[RtcPeer] = set()
-        self._pictures: Feed | None = None
-        self._maker = KeyPictureMaker()
-        self._coding: asyncio.Future[bytes] | None = None
 
-    def close(self) -> None:
-        self._forget_pictures()
-        self._maker.close()
+    def handle_time(self) -> None:
+        self._waiting &= self.programme.peers
+        asks = self._joined.poll_ask(self._clock.now_ns(), waits=bool(self._waiting))
+        if asks and self._pictures is not None:
+            self._pictures.rejoin()
 
     def _unit(self, lease: Lease) -> None:
-        unit = CodedUnit.unpack(lease.octets())
-        kept = self._history.handle_unit(unit, lease.stamp, self._clock.now_ns())
-        if kept is not None:
-            coded = self._access_unit(kept)
+        unit, now_ns = CodedUnit.unpack(lease.octets()), self._clock.now_ns()
+        waits = bool(self._waiting & self.programme.peers)
+        joined = self._joined.handle_unit(unit, lease.stamp, now_ns, waits=waits)
+        if joined.live is not None:
             for peer in self.programme.peers - self._waiting:
-                peer.send_unit(coded)
-        self._serve_waiting()
+                peer.send_unit(_access_unit(joined.live))
+        for peer in self._waiting & self.programme.peers if joined.begin else ():
+            self._waiting.discard(peer)
+            for each in joined.begin:
+                peer.send_unit(_access_unit(each))
 
     def _packet(self, lease: Lease) -> None:
         if lease.stamp.capture_ns:
@@ -262,53 +257,12 @@ class _Downlink:
 
     def _want_key(self, peer: RtcPeer) -> None:
         self._waiting.add(peer)
-        self._serve_waiting()
+        self.handle_time()
 
-    def _serve_waiting(self) -> None:
-        self._waiting &= self.programme.peers
-        if not self._waiting:
-            return
-        replay = self._history.replay()
-        if replay is None:
-            if self._pictures is None and self._history.needs_picture:
-                self._pictures = Feed(
-                    self._loop, self._bus, self._decoded_topic, self._picture, depth=1
-                )
-                self._pictures.open()
-            return
-        self._forget_pictures()
-        for peer in self._waiting:
-            for kept in replay:
-                peer.send_unit(self._access_unit(kept))
-        self._waiting.clear()
 
-    def _picture(self, lease: Lease) -> None:
-        """A decoded picture has come: have it coded as a key picture."""
-        timestamp = lease.stamp.rtp_timestamp
-        if self._coding is not None or timestamp is None:
-            return
-        picture = lease.video().data.copy()
-        made = self._maker.of_picture(picture, _QUANTIZER)
-        self._coding = asyncio.wrap_future(made, loop=self._loop)
-
-        def coded(done: asyncio.Future[bytes]) -> None:
-            self._coding = None
-            if not done.cancelled():
-                self._history.handle_picture(done.result(), timestamp)
-                self._serve_waiting()
-
-        self._coding.add_done_callback(coded)
-
-    def _forget_pictures(self) -> None:
-        if self._pictures is not None:
-            self._pictures.close()
-            self._pictures = None
-
-    def _access_unit(self, kept: KeptUnit) -> AccessUnit:
-        known = kept.capture_us != UNKNOWN_US
-        capture_ns = kept.capture_us * NS_PER_US if known else kept.received_ns
-        stamp = CaptureStamp(capture_ns, kept.sequence, DOWNLINK)
-        return AccessUnit(kept.data, stamp, kept.key)
+def _access_unit(came: StreamUnit) -> AccessUnit:
+    stamp = CaptureStamp(came.captured_ns, came.stamp.sequence, DOWNLINK)
+    return AccessUnit(came.data, stamp, came.unit.key)
 
 
 class _Partner:

@@ -3,28 +3,23 @@
 from pipelines.hand.hand_topics import ARM_ORDER_TOPIC
 from pipelines.media.following import SELECTED_TOPIC
 from pipelines.partner.decisions import RTC_REQUEST_TOPIC
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import GROUND_MIC
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import ProcessRow, Stage, given
+from pipelines.session.topology.streams import partner_camera, partner_voice
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     RTC,
     RTC_CAMERA,
     RTC_CAMERA_TOPIC,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
-    RTC_DECODED_CAMERA_TOPIC,
     RTC_DISPLAY,
     RTC_DISPLAYED_TOPIC,
     RTC_SPEECH_TOPIC,
     RTC_UNITS_TOPIC,
     RTC_VIDEO_TOPIC,
     RTC_VOICE_TOPIC,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
-    VideoRow,
-    given,
-    partner_camera,
-    partner_voice,
 )
 
 
@@ -46,7 +41,6 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 RTC_SPEECH_TOPIC,
                 *given(session.setup.partner_arm == "shared", ARM_ORDER_TOPIC),
                 *(row.coded_topic for row in downlink),
-                *(row.decoded_topic for row in downlink if isinstance(row, VideoRow)),
             ),
             writes=(RTC_REQUEST_TOPIC, RTC_UNITS_TOPIC, RTC_CODED_VOICE_TOPIC, RTC_VOICE_TOPIC),
             what="sends to and receives from a partner by WebRTC",
@@ -57,7 +51,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             stage=Stage.SINK,
             run="pipelines.partner.process_coding:run_rtc_camera",
             reads=(RTC_UNITS_TOPIC,),
-            writes=(RTC_CODED_CAMERA_TOPIC, RTC_DECODED_CAMERA_TOPIC, RTC_CAMERA_TOPIC),
+            writes=(RTC_CODED_CAMERA_TOPIC, RTC_CAMERA_TOPIC),
             what="decodes the partner's pictures",
         ),
         ProcessRow(

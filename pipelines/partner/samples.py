@@ -25,7 +25,7 @@ from pipelines.partner.description import MALFORMED, MOST_SDP_OCTETS
 from pipelines.partner.ice_servers import IceServers
 from pipelines.session.datagrams import OwnOutlet, listen_alone, newest_sample
 from pipelines.session.process import Context
-from pipelines.session.topology import partner_ports
+from pipelines.session.topology.streams import partner_ports
 from telepresence.haptics.sample import SAMPLE_OCTETS
 
 _LABEL = "haptics"

@@ -8,7 +8,6 @@ Unix sockets, which nobody else reaches.
 """
 
 import asyncio
-import ctypes
 import multiprocessing
 import signal
 import socket
@@ -35,7 +34,7 @@ from pipelines.partner.description import (
 from pipelines.partner.ice_servers import IceServer, IceServers, servers_of_links
 from pipelines.partner.peer import RtcPeer
 from pipelines.partner.samples import SamplePeer
-from pipelines.session.command_process import say
+from pipelines.session.command_process import end_with_parent, say
 from pipelines.session.datagrams import Outlet, newest_sample
 
 _SDP, _FRAGMENT = "application/sdp", "application/trickle-ice-sdpfrag"
@@ -294,7 +293,6 @@ class Keeper(Generic[_Peer]):
 
 
 _END_S = 3.0
-_PR_SET_PDEATHSIG = 1
 
 
 class Far:
@@ -343,7 +341,7 @@ def _relay(
 ) -> None:
     # Ctrl-C goes to both; the loop's process ends this one. So does its own end: the connection of
     # one that was killed would keep others out.
-    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with closing(end):
         try:

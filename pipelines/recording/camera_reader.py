@@ -2,8 +2,8 @@
 
 from kontur_av.media import CaptureStamp
 from kontur_av.topics.bus import Reader, TopicBus
+from pipelines.recording.camera_coder import CameraCoder
 from pipelines.recording.channels import Source
-from pipelines.recording.own_pictures import CameraCoder
 
 #: Unread pictures that are kept of a camera that is coded whole: a quarter of a second at 30 Hz.
 _DEPTH = 8

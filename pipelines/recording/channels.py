@@ -6,12 +6,13 @@ once.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from enum import Enum
+from typing import Any
 
 from mcap.records import Channel, Schema
 
 from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY
-from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
+from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, HapticBlock
 from pipelines.link.link_metrics import gateway_topic
 from pipelines.recording.recorded_messages import (
     AUDIO,
@@ -31,21 +32,26 @@ from pipelines.recording.recorded_messages import (
     VIDEO,
 )
 from pipelines.recording.schemas import MessageSchema, descriptor_set
-from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, MISSION_LEDS_TOPIC
-from pipelines.session.topic import AnyTopic
-from pipelines.session.topology import (
+from pipelines.session.mission_messages import (
+    MISSION_GROUND_TOPIC,
+    MISSION_LEDS_TOPIC,
+    ExperimentShown,
+    LedsShown,
+)
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topic import AnyTopic, OpusPacket, PacketOctets
+from pipelines.session.topology.rows import Frames, Kind, VideoRow
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     RTC_CAMERA,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
     RTC_VOICE,
-    Kind,
-    Segment,
-    Topology,
-    VideoRow,
     packet_topics,
 )
+from telepresence.link.link_metrics import GatewayMetrics
 
 PROTOBUF = "protobuf"
 EVENTS, LOG_LINES, RECORDER_LOSSES = "/events", "/log", "/recorder/losses"
@@ -62,31 +68,17 @@ _TOLD = {
 _TRACES = {"joystick": JOYSTICK_TRACE_TOPIC, "robot": ROBOT_TRACE_TOPIC}
 
 
-class Content(Enum):
-    """What a sample of a topic holds."""
-
-    UNIT = "access unit"
-    HAPTICS = "cycles of one end of the hand"
-    SOUND = "Opus packet"
-    PACKET = "space packet"
-    GATEWAY = "figures of a gateway"
-    FRAMES = "frames of the radio link"
-    CAMERA = "captured picture"
-    EXPERIMENT = "where the experiment is"
-    LEDS = "what the LED panel shows"
-
-
-#: The schemas of its channels.
-_SCHEMAS: Mapping[Content, tuple[MessageSchema, ...]] = {
-    Content.UNIT: (VIDEO, UNIT_METADATA),
-    Content.HAPTICS: (HAPTIC_SAMPLES, HAPTIC_SAMPLES),
-    Content.SOUND: (AUDIO,),
-    Content.PACKET: (SPACE_PACKET,),
-    Content.GATEWAY: (LINK_SENT, LINK_RECEIVED),
-    Content.FRAMES: (TRANSFER_FRAMES,),
-    Content.CAMERA: (VIDEO,),
-    Content.EXPERIMENT: (EXPERIMENT,),
-    Content.LEDS: (LED_PANEL,),
+#: By type of a topic's samples: the schemas of its channels. None: a camera's pictures.
+_SCHEMAS: Mapping[Any, tuple[MessageSchema, ...]] = {
+    CodedUnit: (VIDEO, UNIT_METADATA),
+    HapticBlock: (HAPTIC_SAMPLES, HAPTIC_SAMPLES),
+    OpusPacket: (AUDIO,),
+    PacketOctets: (SPACE_PACKET,),
+    GatewayMetrics: (LINK_SENT, LINK_RECEIVED),
+    Frames: (TRANSFER_FRAMES,),
+    None: (VIDEO,),
+    ExperimentShown: (EXPERIMENT,),
+    LedsShown: (LED_PANEL,),
 }
 
 
@@ -99,9 +91,13 @@ class Source:
     """
 
     topic: AnyTopic
-    content: Content
     name: str
     messages: Mapping[str, str]
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether its samples are pictures, which a reader codes."""
+        return self.topic.type is None
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -146,7 +142,7 @@ def channels_of(topology: Topology, *, link_frames: bool = False) -> tuple[Chann
         (topic, schema, what)
         for source in _sources(topology, link_frames=link_frames)
         for (topic, what), schema in zip(
-            source.messages.items(), _SCHEMAS[source.content], strict=True
+            source.messages.items(), _SCHEMAS[source.topic.type], strict=True
         )
     ]
     found += [(topic, schema, what) for topic, (schema, what) in _TOLD.items()]
@@ -164,7 +160,7 @@ def sources_of(topology: Topology, *, link_frames: bool = False) -> tuple[Source
     return tuple(
         source
         for source in _sources(topology, link_frames=link_frames)
-        if not (source.content is Content.CAMERA and source.name in carried)
+        if not (source.is_camera and source.name in carried)
         # The other machine records what is there.
         and (topology.alone is None or topology.runs(topology.topic(source.topic).writer))
     )
@@ -184,30 +180,27 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
             every = topology.setup.recorded_cameras == "all"
             when = "of every picture" if every else "while no stream carries the camera"
             what = f"access unit, {when}"
-            yield Source(row.topic, Content.CAMERA, row.name, {f"/camera/{row.name}": what})
+            yield Source(row.topic, row.name, {f"/camera/{row.name}": what})
     for segment in Segment:
         for (kind, way), topic in packet_topics(segment).items():
             messages = {f"/{kind}/{segment.value}/{way}": topic.what}
-            yield Source(topic, Content.PACKET, kind, messages)
+            yield Source(topic, kind, messages)
     for segment in Segment:
         out, back = segment.transmits.value, segment.transmits.opposite.value
         messages = {
             f"/link/{out}/{SENT}": "figures of its sender, ten times a second",
             f"/link/{back}/{RECEIVED}": "figures of its receiver, ten times a second",
         }
-        yield Source(gateway_topic(segment), Content.GATEWAY, segment.value, messages)
+        yield Source(gateway_topic(segment), segment.value, messages)
     for link in topology.links if link_frames else ():
         name = link.direction.value
         for way, frames in ((SENT, link.sent_frames_topic), (RECEIVED, link.received_frames_topic)):
             messages = {f"/link/{name}/frames/{way}": f"frames as {way}, if asked for"}
-            yield Source(frames, Content.FRAMES, name, messages)
+            yield Source(frames, name, messages)
     written = {topic for row in topology.processes for topic in row.writes}
-    for tasks, content, channel in (
-        (MISSION_GROUND_TOPIC, Content.EXPERIMENT, "/experiment"),
-        (MISSION_LEDS_TOPIC, Content.LEDS, "/leds"),
-    ):
+    for tasks, channel in ((MISSION_GROUND_TOPIC, "/experiment"), (MISSION_LEDS_TOPIC, "/leds")):
         if tasks in written:
-            yield Source(tasks, content, channel[1:], {channel: f"{content.value}, at each change"})
+            yield Source(tasks, channel[1:], {channel: f"{tasks.what}, at each change"})
     # Last, because they are opened in this order, and these are the fastest.
     for haptic in topology.haptics:
         end = haptic.sender
@@ -217,7 +210,7 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
             f"/haptic/{haptic.key}/{SENT}": f"{cycles} sent",
             f"/haptic/{felt.key}/{RECEIVED}": f"{cycles} acted on",
         }
-        yield Source(_TRACES[end], Content.HAPTICS, end, messages)
+        yield Source(_TRACES[end], end, messages)
 
 
 def _unit(name: str, way: str, topic: AnyTopic, which: str) -> Source:
@@ -225,8 +218,8 @@ def _unit(name: str, way: str, topic: AnyTopic, which: str) -> Source:
         f"/{name}/{way}": f"access unit {which}",
         f"/{name}/{way}/facts": f"facts about the access unit {which}",
     }
-    return Source(topic, Content.UNIT, name, messages)
+    return Source(topic, name, messages)
 
 
 def _sound(name: str, way: str, topic: AnyTopic, which: str) -> Source:
-    return Source(topic, Content.SOUND, name, {f"/{name}/{way}": f"Opus packet {which}"})
+    return Source(topic, name, {f"/{name}/{way}": f"Opus packet {which}"})

@@ -24,7 +24,7 @@ from pipelines.session.setup.table import Setup
 
 if TYPE_CHECKING:
     # `record` checks a path, for which the codecs need not be loaded.
-    from pipelines.recording.recorder import PartPiece
+    from pipelines.recording.part_streams import PartPiece
 
 _SYNC_S = 1.0
 _MOST_PARTS = 100_000

@@ -7,21 +7,17 @@ What is being recorded is also in a file of the session's directory. So a record
 goes on, in a new part.
 """
 
-from concurrent.futures import Future, wait
 from dataclasses import replace
 from pathlib import Path
-
-import msgspec
 
 from kontur_av import __version__
 from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.metrics import plus
 from pipelines.media.following import SELECTED_TOPIC
-from pipelines.media.key_picture_maker import KeyPictureMaker
 from pipelines.recording import part_files
 from pipelines.recording.camera_reader import CameraReader
-from pipelines.recording.channels import Content, sources_of
+from pipelines.recording.channels import sources_of
 from pipelines.recording.metadata import RecordingMetadata
 from pipelines.recording.recorded_messages import RecordedEvent
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
@@ -40,7 +36,7 @@ from pipelines.session.recording_requests import (
     write_request,
 )
 from pipelines.session.requests import RequestServer
-from pipelines.session.session_metrics import SessionEvents, gathered
+from pipelines.session.session_metrics import SessionNews, gathered
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import TopicReader
 
@@ -68,8 +64,6 @@ class _RecorderProcess:
         self._context, self._now_ns = context, context.clock.now_ns
         self._requests = RecorderRequests(read_request(context.session), self._now_ns())
         self._recording: _Recording | None = None
-        # Before anything is recorded, so that the codecs are loaded then.
-        self._maker = KeyPictureMaker()
         #: Of all recordings that have ended in this start, and of the newest of them.
         self._past = self._newest = RecorderMetrics()
         context.on_flush(self._publish)
@@ -77,7 +71,7 @@ class _RecorderProcess:
     def run(self) -> None:
         context, now_ns = self._context, self._now_ns
         if self._requests.options is not None:
-            self._recording = _Recording(context, self._requests.options, self._maker)
+            self._recording = _Recording(context, self._requests.options)
             # The launcher waits for it.
             context.flush(now_ns())
         with RequestServer(
@@ -92,9 +86,9 @@ class _RecorderProcess:
                 if self._requests.poll_abandoned(now_ns()):
                     self._stop()
                 context.tick(now_ns())
-                while (told := context.receive_metrics()) is not None:
+                while (news := context.receive_news()) is not None:
                     if self._recording is not None:
-                        self._recording.handle_events(told)
+                        self._recording.handle_news(news)
                 if self._recording is not None:
                     self._recording.handle_wake()
         if self._recording is not None:
@@ -103,7 +97,6 @@ class _RecorderProcess:
                 self._recording.handle_wake()
                 context.clock.sleep_until_ns(now_ns() + _WAKE_NS)
             self._end()
-        self._maker.close()
 
     def _handle(self, request: RecordRequest, terminal: int) -> RecordAnswer:
         if isinstance(request, StartRecording):
@@ -126,7 +119,7 @@ class _RecorderProcess:
             write_request(self._context.session, start.options)
         except OSError as error:
             raise ConfigError(f"{path} cannot be written: {error.strerror}") from None
-        self._recording = _Recording(self._context, start.options, self._maker)
+        self._recording = _Recording(self._context, start.options)
 
     def _stop(self) -> None:
         self._requests.handle_stop()
@@ -159,7 +152,7 @@ class _RecorderProcess:
 class _Recording:
     """The topics and the files of one recording."""
 
-    def __init__(self, context: Context, options: RecordingOptions, maker: KeyPictureMaker) -> None:
+    def __init__(self, context: Context, options: RecordingOptions) -> None:
         self._now_ns = context.clock.now_ns
         topology, setup = context.topology, context.setup
         offset_ns = context.clock.wall_offset_ns
@@ -186,8 +179,6 @@ class _Recording:
             link_frames=options.link_frames,
             limits=options.limits,
         )
-        self._maker = maker
-        self._keys: dict[int, Future[bytes | None]] = {}
         self._files = part_files.PartFiles(Path(options.file))
         self._open_part()
         self._bus = context.open_bus()
@@ -195,14 +186,14 @@ class _Recording:
         self._readers = [
             (source, self._bus.reader(source.topic, depth=_DEPTH))
             for source in sources
-            if source.content is not Content.CAMERA
+            if not source.is_camera
         ]
         self._selected = TopicReader(self._bus, SELECTED_TOPIC)
         whole = setup.recorded_cameras == "all"
         self._cameras = [
             CameraReader(self._bus, source, self._recorder.coder(source), whole=whole)
             for source in sources
-            if source.content is Content.CAMERA
+            if source.is_camera
         ]
         self._carried = {camera.name: camera.inputs for camera in topology.cameras}
         self._follow(setup.cameras[0])
@@ -213,17 +204,15 @@ class _Recording:
 
     @property
     def fault(self) -> str:
-        return self._recorder.fault
+        return self._recorder.parts.fault
 
     @property
     def metrics(self) -> RecorderMetrics:
         return self._recorder.metrics(str(self.file))
 
-    def handle_events(self, told: bytes) -> None:
+    def handle_news(self, news: SessionNews) -> None:
         """The launcher tells the figures, and what happened, also before the recording."""
-        news = msgspec.json.decode(told, type=SessionEvents)
-        if news.metrics:
-            self._recorder.handle_metrics(news.metrics, news.at_us * NS_PER_US, self._now_ns())
+        self._recorder.handle_metrics(news.figures, news.at_us * NS_PER_US, self._now_ns())
         for event in news.events:
             at_ns = event.at_us * NS_PER_US
             if at_ns >= self._since_ns:
@@ -234,11 +223,12 @@ class _Recording:
         """Read what has come, and write what can be written."""
         recorder = self._recorder
         for source, reader in self._readers:
+            if recorder.poll_ask(source, self._now_ns()):
+                reader.rejoin()
             while (lease := reader.next()) is not None:
                 with lease:
                     octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
                 recorder.handle_sample(source, octets, stamp, self._now_ns(), published_ns=at_ns)
-        self._exchange_keys()
         if (choice := self._selected.latest()) is not None:
             self._follow(choice.camera)
         for camera in self._cameras:
@@ -250,24 +240,14 @@ class _Recording:
     def end(self) -> RecorderMetrics:
         for _, reader in self._readers:
             reader.close()
-        wait(self._keys.values(), _CLOSE_S)
-        self._exchange_keys()
         self._recorder.handle_end(self._now_ns())
         self._pump(most_octets=1 << 62)
         self._files.close(_CLOSE_S)
         self._take_results()
-        self._recorder.handle_abandoned()
+        self._recorder.parts.handle_abandoned()
         self._bus.close()
         told = self._recorder.metrics(str(self.file))
         return replace(told, recording=False, fault=None, waiting_octets=0)
-
-    def _exchange_keys(self) -> None:
-        """Have the key pictures made that are wanted, and hand over those that are there."""
-        while (wanted := self._recorder.next_event()) is not None:
-            made = self._maker.of_units(wanted.units, wanted.width, wanted.height)
-            self._keys[wanted.number] = made
-        for number in [number for number, made in self._keys.items() if made.done()]:
-            self._recorder.handle_key_picture(number, self._keys.pop(number).result())
 
     def _follow(self, camera: str) -> None:
         carried = self._carried.get(camera, ())
@@ -279,14 +259,14 @@ class _Recording:
         try:
             self._recorder.handle_opened(self._files.open(), now_ns)
         except OSError as error:
-            self._recorder.handle_fault(None, error.strerror or str(error), now_ns)
+            self._recorder.parts.handle_fault(None, error.strerror or str(error), now_ns)
 
     def _pump(self, most_octets: int = _IN_FLIGHT_OCTETS) -> None:
         self._take_results()
         if self._recorder.wants_part(self._now_ns()):
             self._open_part()
         while self._files.waiting_octets < most_octets:
-            piece = self._recorder.poll_transmit(self._now_ns())
+            piece = self._recorder.parts.poll_transmit(self._now_ns())
             if piece is None:
                 return
             self._files.put(piece)
@@ -294,6 +274,6 @@ class _Recording:
     def _take_results(self) -> None:
         for part, why in self._files.results():
             if why:
-                self._recorder.handle_fault(part, why, self._now_ns())
+                self._recorder.parts.handle_fault(part, why, self._now_ns())
             else:
-                self._recorder.handle_written()
+                self._recorder.parts.handle_written()

@@ -29,8 +29,10 @@ from pipelines.recording.recorder_metrics import ReplayMetrics
 from pipelines.recording.rows import Script, replay_topology
 from pipelines.session.datagrams import receive
 from pipelines.session.process import Context, wait_ns
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment, Topology
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
+from pipelines.session.topology.table import Topology
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 #: From capture to encoder, and to sender: as in a simulation.
@@ -78,6 +80,7 @@ def run_video_replay(
     clock = context.clock
     cost_ns = _COSTS.ns("capture") + _COSTS.picture_ns("encode", stream.codec)
     script = start.script(context, units, cost_ns)
+    decoder = VideoDecoder(stream.codec, size=(stream.width, stream.height))
     with context.open_bus() as bus:
         outlet = VideoOutlet(context, bus, stream)
         end = outlet.end
@@ -92,7 +95,11 @@ def run_video_replay(
                 recorded = units[number]
                 unit = AccessUnit(recorded.data, stamp, recorded.key, recorded.codec)
                 end.handle_coded(unit, clock.now_ns())
-                outlet.sent.handle_unit(unit, stream.coded_size)
+                # Nothing is filmed, so a reader that joins begins with what is decoded here.
+                shown, size = None, stream.coded_size
+                for shown in decoder.decode(unit.data, number) if unit.codec == "h264" else ():
+                    size = shown.width, shown.height
+                outlet.sent.handle_unit(unit, size, shown)
             outlet.work()
         end.close(clock.now_ns())
         del waiter
@@ -238,8 +245,8 @@ def run_haptic_replay(
     """Send the recorded samples of an end, in a loop at 1 kHz."""
     time = start.time_of(context)
     end = ReplayedEnd(rows, time, context.probe, robot=robot, boot_id=new_boot_id())
-    ports = session_ports(context.topology, "robot" if robot else "joystick")
-    run_loop(context, end, ports)
+    port, gateway_port = session_ports(context.topology, "robot" if robot else "joystick")
+    run_loop(context, end, port, context.own_sender(gateway_port))
 
 
 def replayed_session(

@@ -114,7 +114,7 @@ class UnitMetadata(Recorded):
     height_px: Annotated[Uint32, "height of its picture, pixels"]
     octets: Annotated[Uint32, "length of the access unit; more in front of it are parameter sets"]
     added: Annotated[
-        Bool, "no unit of the stream: a key picture that the recorder put ahead of it"
+        Bool, "no unit of the stream: a key picture behind the unit of this number, to begin with"
     ] = False
 
     @classmethod

@@ -35,7 +35,8 @@ from pipelines.recording.recorded_messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
 
 #: From picture to picture, until a stream has shown its own.
 _PICTURE_NS = NS_PER_S // 15

@@ -32,7 +32,7 @@ class RecorderMetrics:
     octets: int = 0
     #: Failures to open or write a file.
     disk_faults: int = 0
-    #: Key pictures that came too late, each replaced by a black one.
+    #: Key pictures that came too late: the units that waited were written without.
     late_keys: int = 0
     #: The newest file; null before anything was recorded.
     file: Newest[str] | None = None

@@ -8,20 +8,17 @@ from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
 from pipelines.link.link_metrics import gateway_topic
 from pipelines.media.following import SELECTED_TOPIC
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, MISSION_LEDS_TOPIC
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import RECORDER_PRIORITY, Kind, ProcessRow, Stage, VideoRow
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     RECORDER,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
     RTC_VIDEO_TOPIC,
-    Kind,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
     packet_topics,
 )
-from pipelines.session.topology.rows import RECORDER_PRIORITY, VideoRow
 
 
 def shown_topics(session: Topology) -> tuple[AnyTopic, ...]:

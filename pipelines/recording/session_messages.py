@@ -3,17 +3,16 @@
 The recorder writes them into a file; others show them live.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kontur_av.clock import NS_PER_MS, NS_PER_US
+from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
-from kontur_av.streams.coded_unit import CodedUnit
-from pipelines.hand.haptic_trace import CONTACT, rows_of
+from pipelines.hand.haptic_trace import CONTACT, HapticBlock, rows_of
+from pipelines.media.joined_units import StreamUnit
 from pipelines.recording import recorded_messages as messages
 from pipelines.recording.channels import (
     EVENTS,
@@ -21,9 +20,11 @@ from pipelines.recording.channels import (
     RECEIVED,
     SENT,
     SESSION_METRICS,
-    Content,
     Source,
 )
+from pipelines.session.mission_messages import ExperimentShown, LedsShown
+from pipelines.session.topic import OpusPacket, PacketOctets
+from pipelines.session.topology.rows import Frames
 from telepresence.link.link_metrics import GatewayMetrics
 
 #: A contact has ended when the tip was free for this long; shorter breaks are the tip's bounces.
@@ -55,10 +56,14 @@ class ContactWatch:
         return found
 
 
-#: A key picture that is added comes this long before its unit.
-_AHEAD_NS = NS_PER_US
 #: Kinds of events that are warnings in the log.
 _WARNINGS = frozenset({"process", "stale", "recorder"})
+
+#: What is told at each change: by type, what makes its message.
+_SHOWN: Mapping[Any, Callable[..., messages.Recorded]] = {
+    ExperimentShown: messages.RecordedExperiment.of,
+    LedsShown: messages.RecordedLeds.of,
+}
 
 Figure = float | str | bool | None
 
@@ -96,8 +101,8 @@ class SessionMessages:
         self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
     ) -> Sequence[ChannelMessage]:
         """Return what a sample becomes, other than an access unit or a camera's picture."""
-        at_ns = stamp.capture_ns
-        if source.content is Content.HAPTICS:
+        at_ns, kind = stamp.capture_ns, source.topic.type
+        if kind is HapticBlock:
             rows = rows_of(octets)
             if not len(rows):
                 return []
@@ -106,32 +111,30 @@ class SessionMessages:
                 for way in (SENT, RECEIVED)
             ]
             at_ns = int(rows["time_ns"][0])
-        elif source.content is Content.SOUND:
+        elif kind is OpusPacket:
             # A receiver that has no sender report yet cannot date its packets.
             at_ns = stamp.capture_ns or at.published_ns
             told = [
                 messages.pack(messages.RecordedSound(wall_ns=at_ns + self._offset_ns, data=octets))
             ]
-        elif source.content is Content.PACKET:
+        elif kind is PacketOctets:
             packet = messages.RecordedPacket(
                 session_ns=at_ns, data=octets, what=messages.packet_words(octets)
             )
             told = [messages.pack(packet)]
-        elif source.content is Content.GATEWAY:
+        elif kind is GatewayMetrics:
             found: GatewayMetrics = source.topic.unpack(octets)
             state = found.supervision
             sent = messages.LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
             received = messages.LinkReceived.of(found.receive, state, session_ns=at_ns)
             told = [messages.pack(sent), messages.pack(received)]
-        elif source.content in (Content.EXPERIMENT, Content.LEDS):
+        elif kind in _SHOWN:
             if self._shown.get(source.topic) == octets:
                 return []
             self._shown[source.topic] = octets
             shown = source.topic.unpack(octets)
-            experiment = source.content is Content.EXPERIMENT
-            kind = messages.RecordedExperiment if experiment else messages.RecordedLeds
-            told = [messages.pack(kind.of(shown, at_ns))]
-        elif source.content is Content.FRAMES:
+            told = [messages.pack(_SHOWN[kind](shown, at_ns))]
+        elif kind == Frames:
             frames = source.topic.unpack(octets)
             if not frames:
                 return []
@@ -144,34 +147,23 @@ class SessionMessages:
 
     def touches(self, source: Source, octets: bytes) -> Sequence[messages.RecordedEvent]:
         """Return the touches in a sample of the robot's haptics."""
-        if source.content is not Content.HAPTICS or source.name != "robot":
+        if source.topic.type is not HapticBlock or source.name != "robot":
             return []
         return [
             messages.RecordedEvent(session_ns=at_ns, number=0, what="touch", text=text)
             for at_ns, text in self._contact.handle_rows(rows_of(octets))
         ]
 
-    def of_unit(
-        self, source: Source, unit: CodedUnit, data: bytes, stamp: CaptureStamp, at: Instants
-    ) -> Sequence[ChannelMessage]:
-        """Return an access unit and its facts. data: what takes its place."""
-        wall_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns
+    def of_unit(self, source: Source, came: StreamUnit, now_ns: int) -> Sequence[ChannelMessage]:
+        """Return an access unit and its facts."""
+        unit, stamp, at_ns, data = came
+        wall_ns = came.captured_ns + self._offset_ns
         picture = messages.RecordedPicture(
             wall_ns=wall_ns, frame_id=source.name, data=data, format=unit.codec
         )
         told = [messages.pack(picture), messages.pack(messages.UnitMetadata.of(unit, stamp))]
+        at = Instants(at_ns, now_ns)
         return _messages(source.channels, told, wall_ns, stamp.sequence, at)
-
-    def of_key(
-        self, source: Source, unit: CodedUnit, key: bytes, stamp: CaptureStamp, at: Instants
-    ) -> Sequence[ChannelMessage]:
-        """Return a key picture that is added ahead of a unit, and its facts."""
-        added = replace(unit, key=True, damaged=False)
-        log_ns = (stamp.capture_ns if unit.dated else at.published_ns) + self._offset_ns - _AHEAD_NS
-        picture = messages.RecordedPicture(wall_ns=log_ns, frame_id=source.name, data=key)
-        metadata = replace(messages.UnitMetadata.of(added, stamp), octets=len(key), added=True)
-        told = [messages.pack(picture), messages.pack(metadata)]
-        return _messages(source.channels, told, log_ns, max(0, stamp.sequence - 1), at)
 
     def of_camera(
         self, source: Source, unit: bytes, stamp: CaptureStamp, number: int, now_ns: int

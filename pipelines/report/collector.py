@@ -31,14 +31,9 @@ from pipelines.session.session_metrics import (
     SendingRow,
     ShownRow,
 )
-from pipelines.session.topology import (
-    RTC_CAMERA,
-    RTC_DISPLAY,
-    RTC_VOICE,
-    SECOND_ROBOT,
-    Segment,
-    Topology,
-)
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import RTC_CAMERA, RTC_DISPLAY, RTC_VOICE, SECOND_ROBOT
 from telepresence.link.clock_estimator import ClockHistory
 from telepresence.link.link_metrics import GatewayMetrics
 

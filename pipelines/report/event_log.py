@@ -15,11 +15,11 @@ from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
 from pipelines.report.warnings import TOO_BUSY
-from pipelines.session.session_metrics import DatedEvent, Event, TrainerMetrics
+from pipelines.session.session_metrics import DatedEvent, Event, ProcessNow, TrainerMetrics
 from pipelines.session.session_switch import Activity, SessionSwitch
+from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import KEPT, OPEN
-from pipelines.session.topology import TASKS, TRAINER, Segment, component_process
-from pipelines.session.verdict import ProcessNow
+from pipelines.session.topology.topics import TASKS, TRAINER, component_process
 from telepresence.haptics.authority import AuthorityEvent, AuthorityMetrics
 from telepresence.haptics.envelope import SafetyMetrics
 from telepresence.haptics.haptic_metrics import JoystickMetrics, RobotMetrics
@@ -33,7 +33,7 @@ _TOLD_STATES = ("connected", "refused")
 
 
 class EventLog:
-    """Finds events, and keeps the newest 200. Call `handle_look` about twice a second."""
+    """Finds events, and keeps the newest 200. Call `handle_look` about once a second."""
 
     def __init__(self, collector: Collector) -> None:
         self.events: deque[Event] = deque(maxlen=DEPTH)
@@ -41,7 +41,8 @@ class EventLog:
         #: What people noted since the last look.
         self._notes: list[tuple[int, str, str]] = []
         self._collector = collector
-        self._number = 0
+        #: Of the newest event.
+        self.number = 0
         self._running = True
         #: By record: until when it has been told.
         self._told_ns: dict[tuple[str, ...], int] = {}
@@ -86,9 +87,9 @@ class EventLog:
         if switch.activity is Activity.RUNNING and not switch.ended:
             found += [*self._staleness(now_ns), *self._inputs(now_ns)]
         for at_ns, what, text in sorted(found, key=lambda event: event[0]):
-            self._number += 1
+            self.number += 1
             at_us = at_ns // NS_PER_US
-            self.events.append(Event(number=self._number, at_us=at_us, what=what, text=text))
+            self.events.append(Event(number=self.number, at_us=at_us, what=what, text=text))
 
     def handle_note(self, what: str, text: str, at_ns: int) -> None:
         """A person, or `kontur-av maintain`, has noted something; the next look tells it."""

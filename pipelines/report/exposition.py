@@ -9,7 +9,7 @@ adds up over the starts of a process is a counter, all else a gauge. A text is a
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import cache
 from types import UnionType
@@ -53,7 +53,7 @@ class Exposition:
 
     def __init__(self) -> None:
         self.report: Mapping[str, Any] = {}
-        self.problems: list[str] = []
+        self.problems: Sequence[str] = ()
         self._registry = CollectorRegistry(auto_describe=False)
         self._registry.register(self)
 

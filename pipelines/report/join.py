@@ -29,8 +29,9 @@ from pipelines.report.terms import video_lead
 from pipelines.report.trace import TRACED, rows_of
 from pipelines.session.probe import FLUSH_NS, Message, Series
 from pipelines.session.session_metrics import INSTANTS, ClockRow, DatedEvent, Row
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology.table import Topology
 from telepresence.link.clock_estimator import ClockHistory
 
 #: A session lasts no longer.

@@ -1,23 +1,22 @@
-"""What `kontur-av link` shows of its link: the report, a line a second, and the summary."""
+"""The link in a report: its directions, its ends, the report of `kontur-av link`; all in words."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
+from itertools import chain
 from typing import TypeVar
 
-from kontur_av.clock import NS_PER_S, NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.meters import Histogram
 from kontur_av.metrics import plus
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.report import model
 from pipelines.report.collector import Collector
-from pipelines.report.result import fitted_line
-from pipelines.report.sections import clock_words, cpu_report, process_report
+from pipelines.report.sections import cpu_report, process_report
 from pipelines.report.warnings import find_loop_warnings, find_path_warnings
-from pipelines.session.session_metrics import LoopMetrics
-from pipelines.session.setup.table import Setup
-from pipelines.session.topology import Direction, Segment
-from pipelines.session.verdict import ProcessNow, process_failures
+from pipelines.session.session_metrics import LoopMetrics, ProcessNow
+from pipelines.session.setup.segments import Direction, Segment
+from pipelines.session.verdict import process_failures
 from telepresence.link.link_metrics import (
     PeerMetrics,
     ReceiverMetrics,
@@ -26,9 +25,6 @@ from telepresence.link.link_metrics import (
 )
 from telepresence.link.profile import LinkProfile
 
-#: The keys of the ledger whose rates stand in a line.
-_LEVELS = ("haptic", "tmtc", "voice", "video", "maintenance")
-
 
 def build_link_report(
     collector: Collector,
@@ -36,15 +32,12 @@ def build_link_report(
     *,
     seconds: float,
     seed: int,
-    cpu_s: Mapping[str, float],
-    restarts: Mapping[str, int],
-    launcher_cpu_s: float,
-    processes: Sequence[ProcessNow] = (),
+    processes: Sequence[ProcessNow],
+    launcher_cpu_s: float = 0.0,
 ) -> model.LinkReport:
     """The whole report. With one end alone each direction lacks what the other end would count.
 
-    seconds: how long the link ran. cpu_s, restarts: of each process, over all its starts.
-    processes: as the launcher knows them.
+    seconds: how long the link ran. processes: as the launcher knows them.
     """
     return model.LinkReport(
         setup=collector.setup.name,
@@ -55,110 +48,30 @@ def build_link_report(
             direction: link_metrics(collector, direction) for direction in ("uplink", "downlink")
         },
         gateways={end.value: gateway_metrics(collector, end.value) for end in ends},
-        cpu=cpu_report(cpu_s, launcher_cpu_s, seconds),
-        processes={
-            name: process_report(collector.process(name), cpu_s[name], restarts[name])
-            for name in cpu_s
-        },
+        cpu=cpu_report(processes, launcher_cpu_s, seconds),
+        processes={process.name: process_report(process, collector) for process in processes},
         # Silence is not a failure: the radio decides it.
         failures=process_failures(processes),
         warnings=[
-            *(warning for name in cpu_s for warning in find_loop_warnings(collector, name)),
+            *chain.from_iterable(find_loop_warnings(collector, each.name) for each in processes),
             *find_path_warnings(collector, ends),
         ],
     )
 
 
-class LinkView:
-    """The present figures: for each end its state, what it sends by level, and what it lost."""
-
-    def __init__(self, setup: Setup, ends: Sequence[Segment]) -> None:
-        self._setup = setup
-        self._ends = ends
-        #: By end: the figures of its last line.
-        self._seen = dict.fromkeys(ends, SenderMetrics())
-
-    def lines(self, collector: Collector, seconds: float, width: int | None = None) -> list[str]:
-        """A line for each end; rates are those since the lines before.
-
-        width: the line's length in characters; parts without room are left out.
-        """
-        heads = [f"{seconds:6.1f} s  ", *[" " * 10] * (len(self._ends) - 1)]
-        return [
-            head + self._end(collector, end, None if width is None else width - len(head))
-            for head, end in zip(heads, self._ends, strict=True)
-        ]
-
-    def _end(self, collector: Collector, end: Segment, width: int | None) -> str:
-        metrics = collector.gateway(end)
-        link = metrics.link
-        if link is None:
-            return f"{end.value}: starting"
-        profile = self._setup.profile(end.transmits)
-        sent, received = link.transmit, link.receive
-        rates = _rates_kbps(sent, self._seen[end], profile)
-        self._seen[end] = sent
-        state = _state(link.supervision)
-        levels = " ".join(f"{name} {rates[name]:.1f}" for name in _LEVELS)
-        unknown_senders = sum(metrics.total(SocketMetrics).unknown_senders.values())
-        parts = [
-            f"{end.value} {state}",
-            f"heard {received.frames_received} frames, {received.frames_lost} lost",
-            f"{metrics.total(LoopMetrics).slips} slips",
-            f"sends kbit/s {levels}",
-        ]
-        if unknown_senders:
-            parts.insert(3, f"{unknown_senders} unknown senders")
-        peer = metrics.find(PeerMetrics)
-        if peer is not None:
-            parts.insert(1, peer_words(peer))
-        if link.clock is not None:
-            parts.append(clock_words(end.peer.value, link.clock))
-        return fitted_line(parts, width, gap=", ")
-
-
-def _rates_kbps(sent: SenderMetrics, seen: SenderMetrics, profile: LinkProfile) -> dict[str, float]:
-    # Time is counted in slots of the link, so the rate is exact even if the figures come late. A
-    # restarted gateway counts from 0.
-    if sent.frames < seen.frames:
-        seen = SenderMetrics()
-    seconds = max(1, sent.frames - seen.frames) * profile.slot_ns / NS_PER_S
-    return {
-        name: 8 * (sent.octets.get(name, 0) - seen.octets.get(name, 0)) / (1000 * seconds)
-        for name in _LEVELS
-    }
-
-
-def summary_lines(report: model.LinkReport) -> list[str]:
-    """The end of a run for people: each direction, its ledger, each end, the cost."""
-    lines = [f"{report.setup}, {report.seconds:.1f} s, radio {report.radio.profile}"]
-    for direction, link in report.link.items():
-        lines += _direction(direction, link)
-    for end, gateway in report.gateways.items():
-        lines.append(end_line(end, gateway))
-        lines += peer_lines(end, gateway)
-        if gateway.clock is not None:
-            lines.append(clock_words(Segment(end).peer.value, gateway.clock))
-    cpu = report.cpu
-    lines.append(f"CPU: {cpu.total_s:.1f} s, {cpu.cores_used:.2f} of a core")
-    lines += [f"failed: {failure}" for failure in report.failures]
-    for warning in report.warnings:
-        lines.append(f"warning: {warning.where}: {warning.measured}; {warning.fix}")
-    return lines
-
-
-def _direction(direction: str, link: model.DirectionReport) -> list[str]:
-    lines = []
+def direction_lines(direction: str, link: model.DirectionReport) -> Iterator[str]:
+    """What a direction sent and when, the uses of its octets, and what was received and dropped."""
     sender, receiver = link.sender, link.receiver
     if sender.frames:
         late, sent = link.lateness_us, link.sent_after_us
-        lines.append(
+        yield (
             f"{direction}: {sender.frames} frames sent, {link.loop.slips} slips; slots late by "
             f"{late.p50:.0f} µs (p50), {late.p99:.0f} (p99), {late.p99_9:.0f} (p99.9), "
             f"{late.max:.0f} at most; sent after {sent.p50:.0f} (p50), {sent.p99:.0f} "
             "(p99)"
         )
-        lines.append(f"  {ledger_line(link)}")
+        used = ", ".join(f"{kind} {share:.2f}" for kind, share in link.octets_percent.items())
+        yield f"  of {sum(sender.octets.values())} octets, in %: {used}"
         drops = {
             f"{level}, {reason}": count
             for level, queue in sender.queue.items()
@@ -166,30 +79,22 @@ def _direction(direction: str, link: model.DirectionReport) -> list[str]:
             if count
         } | {f"refused, {reason}": count for reason, count in sender.refused.items() if count}
         if drops:
-            lines.append("  not sent: " + ", ".join(f"{n} ({why})" for why, n in drops.items()))
+            yield "  not sent: " + ", ".join(f"{n} ({why})" for why, n in drops.items())
     if receiver.packets:
         came = ", ".join(f"{name} {count}" for name, count in receiver.packets.items() if count)
         frames = f"{receiver.frames_lost} frames lost"
         if receiver.repaired is not None:
             frames += f", {receiver.repaired.zones} of them restored"
-        lines.append(f"{direction} received: {frames}; packets {came or 'none'}")
+        yield f"{direction} received: {frames}; packets {came or 'none'}"
         dropped = {**receiver.frames_dropped, **receiver.packets_dropped}
         if dropped:
-            lines.append("  dropped: " + ", ".join(f"{n} {why}" for why, n in dropped.items()))
-    return lines
+            yield "  dropped: " + ", ".join(f"{n} {why}" for why, n in dropped.items())
 
 
-def _state(supervision: SupervisionMetrics) -> str:
+def state_words(supervision: SupervisionMetrics) -> str:
     """The present state; with its reason if somebody has to fix it."""
     state = supervision.state
     return f"{state} ({supervision.why})" if state in ("check", "refused") else state
-
-
-def ledger_line(link: model.DirectionReport) -> str:
-    """The uses of a direction's octets; 100 % in all."""
-    shares = link.octets_percent.items()
-    used = ", ".join(f"{kind} {share:.2f}" for kind, share in shares)
-    return f"of {sum(link.sender.octets.values())} octets, in %: {used}"
 
 
 def peer_lines(end: str, gateway: model.GatewayReport) -> list[str]:
@@ -211,7 +116,7 @@ def end_line(end: str, gateway: model.GatewayReport) -> str:
     supervision = gateway.supervision
     contacts = 0 if supervision is None else len(supervision.contacts)
     contact_s = 0.0 if supervision is None else supervision.contact_ns / NS_PER_S
-    state = "never ran" if supervision is None else _state(supervision)
+    state = "never ran" if supervision is None else state_words(supervision)
     line = f"{end}: {state}, {contact_s:.1f} s of signal in {contacts} contacts"
     if gateway.sockets.unknown_senders:
         counts = ", ".join(
@@ -221,6 +126,23 @@ def end_line(end: str, gateway: model.GatewayReport) -> str:
     if gateway.sockets.unsent:
         line += f"; {gateway.sockets.unsent} frames not sent"
     return line
+
+
+def clock_lines(gateways: Mapping[str, model.GatewayReport]) -> Iterator[str]:
+    """For each end whose peer is on another machine: where the peer's clock is, with the error."""
+    for end, gateway in gateways.items():
+        if (clock := gateway.clock) is None:
+            continue
+        peer = Segment(end).peer.value
+        if clock.offset_ns is None or clock.error_ns is None:
+            yield f"clock: {peer}'s is not known"
+            continue
+        error_ms = clock.error_ns / NS_PER_MS
+        words = f"clock: {peer} is {clock.offset_ns / NS_PER_S:+.6f} s ± {error_ms:.2f} ms"
+        if clock.drift_ppb is not None and clock.drift_error_ppb is not None:
+            drift, error = clock.drift_ppb / 1000, clock.drift_error_ppb / 1000
+            words += f", drift {drift:.1f} ± {error:.1f} ppm"
+        yield words + (f"; stepped {clock.restarts} times" if clock.restarts else "")
 
 
 RecordT = TypeVar("RecordT")

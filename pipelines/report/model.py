@@ -111,6 +111,10 @@ class StreamReport(Report, frozen=True, kw_only=True):
     payload_bps_max_1s: int
     #: The largest rate over a sliding tenth of a second.
     payload_bps_max_100ms: int
+    #: By how much a sliding second exceeded the cap that held then.
+    above_cap_bps: int = 0
+    #: The rate of the last second; while the session runs.
+    rate_bps: int | None = None
     sender: Flat[SenderCounts]
     #: Of pictures only.
     feedback: Flat[FeedbackCounts] | None = None
@@ -124,6 +128,8 @@ class StreamReport(Report, frozen=True, kw_only=True):
     stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.
     latency_ms: StreamLatency
+    #: The newest latency; while the session runs.
+    newest_ms: float | None = None
     #: Error of every latency, as two machines took its stamps.
     latency_error_ms: float | None = None
     #: Begin and end of each time over 1 s without anything displayed, in session time.
@@ -156,6 +162,8 @@ class HapticReport(Report, frozen=True, kw_only=True):
     cap_bps: int
     #: The rate of received samples.
     payload_bps_mean: Received[int]
+    #: The same of the last second; while the session runs.
+    rate_bps: Received[int] | None = None
     sender: Flat[SamplesSent]
     #: The rate that samples left out saved.
     saved_bps: int | None = None

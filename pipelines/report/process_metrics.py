@@ -1,6 +1,7 @@
 """The process of `--metrics`: `/metrics` for Prometheus, and `/healthz`."""
 
 import asyncio
+from collections.abc import Sequence
 from http import HTTPStatus
 
 import msgspec
@@ -11,11 +12,10 @@ from kontur_av.clock import NS_PER_S
 from pipelines.report.exposition import Exposition
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
-from pipelines.session.session_metrics import MonitoredSession
-from pipelines.session.topology import METRICS
+from pipelines.session.topology.topics import METRICS
 from pipelines.session.web_site import SHUTDOWN_S, ConnectionGate, quiet_log
 
-#: The launcher tells the figures every two seconds.
+#: The launcher tells the figures once a second.
 _LATE_NS = 10 * NS_PER_S
 
 
@@ -46,10 +46,9 @@ class _MetricsServer:
             await runner.cleanup()
 
     def _take(self) -> None:
-        while (text := self._context.receive_metrics()) is not None:
-            told = msgspec.json.decode(text, type=MonitoredSession)
-            self._exposition.report = msgspec.json.decode(told.report)
-            self._exposition.problems = told.problems
+        while (news := self._context.receive_news()) is not None:
+            self._exposition.report = msgspec.json.decode(news.report)
+            self._exposition.problems = news.problems
             self._told_ns = self._now_ns()
 
     async def _handle(self, request: web.BaseRequest) -> web.Response:
@@ -65,7 +64,7 @@ class _MetricsServer:
             return web.Response(status=status, text="\n".join(problems or ["well"]) + "\n")
         return web.Response(status=HTTPStatus.NOT_FOUND, text="/metrics or /healthz\n")
 
-    def _problems(self) -> list[str]:
+    def _problems(self) -> Sequence[str]:
         told_ns = self._told_ns
         if told_ns is None or self._now_ns() - told_ns > _LATE_NS:
             return ["the session does not tell its figures"]

@@ -13,7 +13,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
 from kontur_av.errors import ConfigError
-from pipelines.report.model import SessionReport, to_json
+from pipelines.report.model import LinkReport, SessionReport, to_json
 from pipelines.report.result import Headline, as_json
 from pipelines.report.summary import print_summary
 from pipelines.session.command_process import OwnOutput, discard_output, output_that_may_fail, plain
@@ -178,8 +178,8 @@ def say_failures(failures: Sequence[str]) -> None:
         print(f"failed: {failure}", file=sys.stderr)
 
 
-def end_report(report: SessionReport, path: Path | None, *, quiet: bool) -> int:
-    """Write the report of a session to `path`, and print it; 1 if it names a failure."""
+def end_report(report: SessionReport | LinkReport, path: Path | None, *, quiet: bool) -> int:
+    """Write the report of a run to `path`, and print it; 1 if it names a failure."""
     saved = save_report(path, report)
     if quiet:
         say_failures(report.failures)

@@ -1,6 +1,8 @@
 """The process that serves a session's figures to a monitoring system."""
 
-from pipelines.session.topology import METRICS, ProcessRow, Stage, Topology
+from pipelines.session.topology.rows import ProcessRow, Stage
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import METRICS
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:

@@ -1,6 +1,6 @@
 """Builds the report of a session from the collected figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import msgspec
@@ -20,11 +20,13 @@ from pipelines.report.link_report import gateway_metrics, link_metrics, punctual
 from pipelines.report.sync_metrics import disagreements, sync_section
 from pipelines.report.terms import video_lead
 from pipelines.report.warnings import find_warnings
-from pipelines.session.session_metrics import LoopMetrics, ProbeMetrics
+from pipelines.session.session_metrics import LoopMetrics, ProbeMetrics, ProcessNow
 from pipelines.session.session_switch import lacks_room
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topology import FOXGLOVE, ROBOT, HapticRow
-from pipelines.session.verdict import ProcessNow, process_failures
+from pipelines.session.topology.rows import HapticRow
+from pipelines.session.topology.topics import FOXGLOVE, JOYSTICK, ROBOT
+from pipelines.session.verdict import process_failures
+from telepresence.haptics.authority import AuthorityMetrics
 from telepresence.haptics.envelope import SafetyMetrics
 from telepresence.haptics.haptic_metrics import (
     JoystickMetrics,
@@ -40,36 +42,41 @@ def build_report(
     collector: Collector,
     *,
     seconds: float,
-    cpu_s: Mapping[str, float],
-    restarts: Mapping[str, int],
-    launcher_cpu_s: float,
+    processes: Sequence[ProcessNow],
+    launcher_cpu_s: float = 0.0,
     media: bool = True,
     stopped_s: Sequence[tuple[float, float]] = (),
-    processes: Sequence[ProcessNow] = (),
+    now_ns: int | None = None,
 ) -> model.SessionReport:
     """The whole report.
 
-    seconds: how long the session ran. cpu_s, restarts: of each process, over all its starts.
+    seconds: how long the session ran. processes: as the launcher knows them.
     media: False if the session had no streams, whatever its setup says.
     stopped_s: from when to when it was stopped on request. That time is in no mean and no failure.
-    processes: as the launcher knows them.
+    now_ns: the present instant of a session that runs.
     """
     setup = collector.setup
     streams = setup.streams if media else ()
     whole_s, seconds = seconds, seconds - sum(end_s - begin_s for begin_s, end_s in stopped_s)
     uplink = link_metrics(collector, "uplink")
     topology, alone = collector.topology, collector.topology.alone
-    silent = {one.process: one for one in silence.silences(collector)}
+    silent = {each.process: each for each in silence.silences(collector, now_ns)}
+    # Contacts are felt on the ground, and seen and heard in space.
+    sync = None if alone else sync_section(setup, collector.sync, media=media)
+    epoch_ns = _radio_epoch_ns(collector)
+    restarts = {process.name: process.restarts for process in processes}
     return model.SessionReport(
         setup=setup.name,
         end=None if alone is None else alone.value,
         seconds=round(whole_s, 3),
         stopped_s=[(round(begin, 3), round(end, 3)) for begin, end in stopped_s] or None,
-        streams={stream.name: stream_report(stream, collector, seconds) for stream in streams},
-        haptic={
-            row.key: haptic_report(row, collector, seconds) for row in collector.topology.haptics
+        streams={
+            stream.name: stream_report(stream, collector, seconds, now_ns) for stream in streams
         },
-        joystick=joystick_report(collector),
+        haptic={
+            row.key: haptic_report(row, collector, seconds, now_ns) for row in topology.haptics
+        },
+        joystick=collector.process(JOYSTICK).find(JoystickMetrics),
         link={"uplink": uplink, "downlink": link_metrics(collector, "downlink")},
         gateways={end.value: gateway_metrics(collector, end.value) for end in topology.segments},
         skew_ms=skew_reports(collector),
@@ -78,19 +85,16 @@ def build_report(
             collector.streams[setup.uplink_video.name].way,
             uplink,
             force_ns=collector.haptics["up"].latency.mean,
-            epoch_ns=_radio_epoch_ns(collector),
+            epoch_ns=epoch_ns,
         ),
-        # Contacts are felt on the ground, and seen and heard in space.
-        sync=None if alone else sync_section(setup, collector.sync, media=media),
+        sync=sync,
         lip_sync=collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,
-        cpu=sections.cpu_report(cpu_s, launcher_cpu_s, seconds),
+        cpu=sections.cpu_report(processes, launcher_cpu_s, seconds),
         processes={
-            name: sections.process_report(
-                collector.process(name), cpu_s[name], restarts[name], silent.get(name)
-            )
-            for name in cpu_s
+            process.name: sections.process_report(process, collector, silent.get(process.name))
+            for process in processes
         },
-        failures=[*failures(collector, seconds, media=media), *process_failures(processes)],
+        failures=[*failures(collector, seconds, sync, media=media), *process_failures(processes)],
         warnings=[
             *find_warnings(collector, seconds=seconds, restarts=restarts, media=media),
             *sections.recorder_warnings(collector),
@@ -98,26 +102,22 @@ def build_report(
         ],
         recorder=sections.recorder_report(collector),
         foxglove=collector.process(FOXGLOVE).find(FoxgloveMetrics),
-        exercises=sections.exercises(collector, _radio_epoch_ns(collector)),
+        exercises=sections.exercises(collector, epoch_ns),
         rtc=sections.rtc_report(collector, seconds),
-        arm=sections.arm_report(collector, _radio_epoch_ns(collector)),
+        arm=sections.dated(collector.process(ROBOT).find(AuthorityMetrics), epoch_ns),
         safety=safety_report(collector),
         robot=collector.process(ROBOT).find(RobotMetrics),
         second_arm=sections.second_arm_report(collector),
-        tasks=sections.task_runs(collector, _radio_epoch_ns(collector)),
-        telemetry=sections.component_reports(collector, _radio_epoch_ns(collector)),
+        tasks=sections.task_runs(collector, epoch_ns),
+        telemetry=sections.component_reports(collector, epoch_ns),
     )
 
 
 def safety_report(collector: Collector) -> SafetyMetrics | None:
     """Return what held the robot; None without the robot's end."""
-    told = collector.process(ROBOT).find(SafetyMetrics)
-    if told is None:
-        return None
     epoch_ns = _radio_epoch_ns(collector)
-    events = tuple(replace(event, at_ns=event.at_ns - epoch_ns) for event in told.events)
-    since_s = round(told.since_s - epoch_ns / NS_PER_S, 3)
-    return replace(told, since_s=since_s, events=events)
+    told = sections.dated(collector.process(ROBOT).find(SafetyMetrics), epoch_ns)
+    return told and replace(told, since_s=round(told.since_s - epoch_ns / NS_PER_S, 3))
 
 
 def skew_reports(collector: Collector) -> dict[str, model.SkewReport | None]:
@@ -142,13 +142,20 @@ def _pauses_s(pauses: Pauses, collector: Collector) -> list[tuple[float, float]]
 
 
 def stream_report(
-    stream: VideoStream | VoiceStream, collector: Collector, seconds: float
+    stream: VideoStream | VoiceStream,
+    collector: Collector,
+    seconds: float,
+    now_ns: int | None = None,
 ) -> model.StreamReport:
+    """One stream. now_ns: what is shown and sent at that instant; None once it has ended."""
     metrics = collector.streams[stream.name]
     row = collector.topology.media(stream.name)
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     gain, display = sender.find(GainMetrics), collector.shown(stream.name)
-    seconds = max(seconds, 1e-9)
+    seconds, newest_ns = max(seconds, 1e-9), metrics.last_latency_ns
+    if now_ns is not None:
+        state, age_ns = silence.shown_now(stream, collector, now_ns)
+        display = replace(display, state=state, age_ns=age_ns)
     return model.StreamReport(
         side=collector.topology.side_here(row),
         cap_bps=stream.cap_bps,
@@ -159,6 +166,8 @@ def stream_report(
         payload_bps_mean=round(metrics.rate.octets * 8 / seconds),
         payload_bps_max_1s=round(metrics.rate.max_bps(NS_PER_S)),
         payload_bps_max_100ms=round(metrics.rate.max_bps(100 * NS_PER_MS)),
+        above_cap_bps=round(metrics.above_cap_bps[0]),
+        rate_bps=None if now_ns is None else round(silence.last_bps(metrics.rate, now_ns)),
         sender=sender.total(SenderCounts),
         feedback=sender.find(FeedbackCounts),
         video=receiver.find(VideoReceiverCounts),
@@ -168,6 +177,7 @@ def stream_report(
         displayed_hz=round(display.frames_displayed / seconds, 2),
         stale_after_ms=_ms(collector.setup.stale_after_ns(stream)),
         latency_ms=stream_latency_ms(metrics),
+        newest_ms=None if now_ns is None or newest_ns is None else _ms(newest_ns),
         latency_error_ms=_ms(metrics.error_ns) if metrics.error_ns else None,
         pauses_s=_pauses_s(metrics.pauses, collector),
         capture_stamp_error_us=round(metrics.stamp_error.max / NS_PER_US, 1),
@@ -187,11 +197,10 @@ def _ms(value_ns: int) -> float:
     return round(value_ns / NS_PER_MS, 3)
 
 
-def joystick_report(collector: Collector) -> JoystickMetrics | None:
-    return collector.process("joystick").find(JoystickMetrics)
-
-
-def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> model.HapticReport:
+def haptic_report(
+    row: HapticRow, collector: Collector, seconds: float, now_ns: int | None = None
+) -> model.HapticReport:
+    """One direction of the samples. now_ns: as for a stream."""
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     profile, metrics = collector.setup.profile(row.direction), collector.haptics[row.key]
     sent, received = sender.total(SamplesSent), receiver.total(SamplesReceived)
@@ -200,6 +209,7 @@ def haptic_report(row: HapticRow, collector: Collector, seconds: float) -> model
         side=collector.topology.side_here(row),
         cap_bps=haptic_cap_bps(profile),
         payload_bps_mean=haptic_bps(profile, received.received, seconds),
+        rate_bps=None if now_ns is None else round(silence.last_bps(metrics.rate, now_ns)),
         sender=sent,
         saved_bps=None if left_out is None else haptic_bps(profile, left_out, seconds),
         receiver=received,
@@ -222,8 +232,14 @@ def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:
     return round(samples * profile.insert_octets * 8 / max(seconds, 1e-9))
 
 
-def failures(collector: Collector, seconds: float, *, media: bool = True) -> list[str]:
-    """What broke a promise of the project; empty for a good run."""
+def failures(
+    collector: Collector,
+    seconds: float,
+    sync: model.SyncReport | None = None,
+    *,
+    media: bool = True,
+) -> list[str]:
+    """What broke a promise of the project; empty for a good run. sync: of the same report."""
     setup = collector.setup
     found = silence.never_met(collector, seconds)
     topology = collector.topology
@@ -268,7 +284,7 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
                     f"{row.sender}: its port {name}".rstrip()
                     + f" gave out {-port.least_uj} µJ that the peer had not granted"
                 )
-    joystick = joystick_report(collector)
+    joystick = collector.process(JOYSTICK).find(JoystickMetrics)
     if joystick is not None and joystick.state.endswith("error"):
         found.append(f"joystick: {joystick.state}: {joystick.reason}")
     robot = collector.process(ROBOT).find(RobotMetrics)
@@ -276,8 +292,7 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
         found.append(f"robot: {robot.error}")
     found += [str(one) for one in silence.silences(collector) if one.own and one.fault]
     taken = {stream.name for stream in setup.streams if silence.taken_by_page(stream, collector)}
-    if topology.alone is None:
-        found += disagreements(sync_section(setup, collector.sync, media=media), unjudged=taken)
+    found += disagreements(sync, unjudged=taken)
     for process, reported in collector.processes.items():
         if lacks_room(reported.last_error or ""):
             found.append(f"{process}: {reported.last_error}")
@@ -285,8 +300,3 @@ def failures(collector: Collector, seconds: float, *, media: bool = True) -> lis
         if dropped:
             found.append(f"{process}: {dropped} values for this report were lost")
     return found
-
-
-def latency_ms(metrics: StreamMetrics) -> float | None:
-    newest = metrics.last_latency_ns
-    return None if newest is None else newest / NS_PER_MS

@@ -9,8 +9,8 @@ from kontur_av.streams.staleness import State
 from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics
 from pipelines.report.collector import Collector
 from pipelines.session.probe import FLUSH_NS
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VOICE_PACKETS_PER_S, Setup, VideoStream, VoiceStream
-from pipelines.session.topology import Segment
 
 #: A picture or a sound is missed if it does not come for this long and this many periods.
 MISSED_NS = 2 * NS_PER_S
@@ -21,6 +21,8 @@ _SPOILED = 0.05
 #: Two ends that can hear each other meet within this time, also after restarts.
 _MEET_NS = 10 * NS_PER_S
 _STEP_NS = NS_PER_S
+#: Why an input waits whose source is browser pages alone.
+NO_PAGE = "no page gives it"
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def silences(collector: Collector, now_ns: int | None = None) -> list[Silence]:
         video = setup.kind_of(name) == "video"
         if silent_ns >= _missed_ns(setup.stream_of(name).fps if video else VOICE_PACKETS_PER_S):
             waits = setup.source(name) in FILLED_BY_OTHERS
-            fault = "no page gives it" if waits else metrics.capture.source_fault or ""
+            fault = NO_PAGE if waits else metrics.capture.source_fault or ""
             sense = "picture" if video else "sound"
             own = fault.startswith(f"{setup.source(name)}: ")
             found.append(Silence(process, sense, silent_ns, fault, waits, own))

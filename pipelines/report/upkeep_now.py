@@ -7,8 +7,9 @@ from kontur_av.clock import NS_PER_S
 from pipelines.mission.mission_metrics import TaskMetrics
 from pipelines.report.collector import Collector, ProcessMetrics
 from pipelines.seats.page_metrics import PageMetrics
+from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import OPEN
-from pipelines.session.topology import JOYSTICK, PAGES, ROBOT, TASKS, Segment
+from pipelines.session.topology.topics import JOYSTICK, PAGES, ROBOT, TASKS
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.envelope import Hold, SafetyMetrics
 from telepresence.haptics.haptic_metrics import JoystickMetrics
@@ -189,7 +190,7 @@ class BandwidthWatch:
 
 
 class UpkeepNow:
-    """Experiment, contact ahead and bandwidth of a session. Call `handle_look` twice a second."""
+    """Experiment, contact ahead and bandwidth of a session. Call `handle_look` once a second."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector

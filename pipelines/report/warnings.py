@@ -14,8 +14,9 @@ from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 from pipelines.session.session_metrics import LEFT_OUT_SHARE, LoopMetrics
 from pipelines.session.session_switch import lacks_room
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VideoStream
-from pipelines.session.topology import LOOP_PRIORITY, Segment
+from pipelines.session.topology.rows import LOOP_PRIORITY
 from telepresence.link.link_metrics import PeerMetrics
 
 #: A loop is late if its cycles begin later than this, at the 99th percentile.

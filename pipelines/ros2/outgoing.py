@@ -1,23 +1,23 @@
 """Turns samples of a session's topics into messages of ROS 2; counts what was missed. A core.
 
 A stream has an IDR picture at its beginning and after a loss only, so a later subscriber gets a key
-picture that is coded here, as a part of a recording does (`StreamStart`).
+picture of its coder (`JoinedSequence`). All units wait for it: all subscribers get the same.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 import cv2
 import msgspec
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
-from kontur_av.media import I420, CaptureStamp, VideoCodec
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.media import I420, CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JoystickStatus
-from pipelines.hand.haptic_trace import rows_of
+from pipelines.hand.haptic_trace import HapticBlock, rows_of
+from pipelines.media.joined_units import JoinedSequence, StreamUnit
 from pipelines.mission.tmtc_messages import K2aciArrived, TmtcNews
-from pipelines.recording.own_pictures import MOST_HELD_OCTETS, KeyPictureWanted, StreamStart
 from pipelines.ros2.publications import (
     CHAT_TOPIC,
     DIAGNOSTICS_TOPIC,
@@ -25,11 +25,10 @@ from pipelines.ros2.publications import (
     POSE,
     TWIST,
     Publication,
-    RosContent,
     RosSource,
 )
 from pipelines.ros2.ros_messages import RosMessages
-from pipelines.session.session_metrics import MonitoredSession, SampleNumbers, nested_values
+from pipelines.session.session_metrics import SampleNumbers, SessionNews, nested_values
 from telepresence.tmtc.k2aci import Chat
 
 #: Units wait no longer for a key picture; then they go out without one.
@@ -37,91 +36,33 @@ _TIMEOUT_NS: Final = NS_PER_S
 #: A second key picture follows the first one after this time, because the way to a subscriber may
 #: be there a little later than the subscriber.
 _AGAIN_NS: Final = 2 * NS_PER_S
-#: A key picture that is coded here comes this long before its unit.
-_AHEAD_NS: Final = NS_PER_US
-
-
-class DatedUnit(NamedTuple):
-    """An access unit to publish, captured at `session_ns`."""
-
-    data: bytes
-    session_ns: int
-    codec: VideoCodec = "h264"
 
 
 class JoinedStream:
-    """The units of one stream. Make the key picture that `next_event` returns.
-
-    Take what `poll_transmit` yields after each call of a `handle_` method.
-    """
+    """The units of one stream for its subscribers."""
 
     def __init__(self) -> None:
-        self._start = StreamStart()
-        #: The next unit that a decoder can begin with is somebody's first.
-        self._begins = True
-        self._ready: list[DatedUnit] = []
-        self._held: list[DatedUnit] = []
-        self._wanted: KeyPictureWanted | None = None
-        self._told = True
-        self._since_ns = 0
-        self._number = 0
+        self._sequence = JoinedSequence(most_ns=_TIMEOUT_NS)
         self._again_ns: int | None = None
+        self.poll_ask = self._sequence.poll_ask
 
     def handle_subscriber(self, now_ns: int) -> None:
-        self._again_ns = now_ns + _AGAIN_NS
-        if self._wanted is None:
-            self._begins = True
+        self._sequence.waits, self._again_ns = True, now_ns + _AGAIN_NS
 
     def handle_unit(
         self, unit: CodedUnit, stamp: CaptureStamp, now_ns: int, *, subscribed: bool
-    ) -> None:
-        """A unit has come. subscribed: somebody wants it."""
-        if self._again_ns is not None and now_ns >= self._again_ns and self._wanted is None:
-            self._again_ns = None
-            self._begins = True
-        begun = self._start.handle_unit(unit, stamp, now_ns, begins=self._begins)
-        self._begins = self._begins and begun is None
-        key, data = begun or (None, unit.data)
-        if not subscribed:
-            self._held, self._wanted = [], None
-            return
-        at_ns = stamp.capture_ns if unit.dated else now_ns
-        if isinstance(key, bytes):
-            self._ready.append(DatedUnit(key, at_ns - _AHEAD_NS))
-        elif key is not None:
-            self._number += 1
-            self._wanted = KeyPictureWanted(self._number, key, unit.width, unit.height)
-            self._told, self._since_ns = False, now_ns
-        waits = self._wanted is not None
-        (self._held if waits else self._ready).append(DatedUnit(data, at_ns, unit.codec))
-        late = now_ns - self._since_ns > _TIMEOUT_NS
-        if waits and (late or sum(len(one.data) for one in self._held) > MOST_HELD_OCTETS):
-            # Who joined still has no picture.
-            self._again_ns = now_ns + _AGAIN_NS
-            self._release()
-
-    def next_event(self) -> KeyPictureWanted | None:
-        if self._told:
-            return None
-        self._told = True
-        return self._wanted
-
-    def handle_key_picture(self, number: int, key: bytes | None) -> None:
-        """The key picture of this number is made; None: it could not be."""
-        if self._wanted is None or self._wanted.number != number:
-            return
-        if key is not None:
-            self._ready.append(DatedUnit(key, self._held[0].session_ns - _AHEAD_NS))
-        self._release()
-
-    def poll_transmit(self) -> Iterator[DatedUnit]:
-        """Yield what is to be published now."""
-        ready, self._ready = self._ready, []
-        yield from ready
-
-    def _release(self) -> None:
-        self._ready += self._held
-        self._held, self._wanted = [], None
+    ) -> Sequence[StreamUnit]:
+        """Return the units to publish now. subscribed: somebody wants them."""
+        sequence = self._sequence
+        if self._again_ns is not None and now_ns >= self._again_ns:
+            sequence.waits, self._again_ns = True, None
+        sequence.waits = sequence.waits and subscribed
+        live, begin, before = sequence.handle_unit(unit, stamp, now_ns)
+        if before and sequence.waits:
+            # They have waited for too long, and who joined still has no picture.
+            sequence.waits, self._again_ns = False, now_ns + _AGAIN_NS
+        passed = [*before, *begin, *([] if live is None else [live])]
+        return passed if subscribed else []
 
 
 #: Of JPEG, which `image_transport` of ROS 2 decodes everywhere: 640 x 480 pixels have 40 kB.
@@ -129,7 +70,7 @@ _JPEG_QUALITY: Final = 80
 #: A camera's pictures are coded ten times a second at most: the last part may be early.
 _PICTURE_NS: Final = 90 * NS_PER_MS
 #: Parts of the report whose figures are diagnostics.
-_TOLD: Final = ("streams", "haptics", "link", "processes")
+_TOLD: Final = ("streams", "haptic", "link", "processes")
 
 
 class Outbound(NamedTuple):
@@ -160,9 +101,14 @@ class OutgoingMessages:
     def handle_joined(self, source: RosSource) -> None:
         """The topic is read from now on."""
         self._numbers.forget(source.topic)
+        self._streams.pop(source, None)
 
     def handle_subscriber(self, source: RosSource, now_ns: int) -> None:
         self._stream(source).handle_subscriber(now_ns)
+
+    def poll_ask(self, source: RosSource, now_ns: int) -> bool:
+        """Return whether to ask a stream's coder for a key picture now."""
+        return self._stream(source).poll_ask(now_ns)
 
     def due(self, source: RosSource, captured_ns: int) -> bool:
         """Whether to code a picture that was captured then."""
@@ -188,17 +134,23 @@ class OutgoingMessages:
     ) -> Iterator[Outbound]:
         """Yield the messages of any other sample. wanted: publications that have subscribers."""
         chosen = [publication for publication in source.publications if publication in wanted]
-        if source.content is RosContent.UNIT and not chosen:
+        unit = source.topic.unpack(octets) if source.is_coded else None
+        if unit is not None and not chosen:
             self._numbers.forget(source.topic)
+        elif unit is not None and unit.added:
+            pass  # it has the number of another one
         elif missed := self._numbers.handle_sample(source.topic, stamp.sequence):
             self.missed[source.topic] += missed
-        if source.content is RosContent.UNIT:
-            stream, unit = self._stream(source), CodedUnit.unpack(octets)
-            stream.handle_unit(unit, stamp, now_ns, subscribed=bool(chosen))
-            yield from self._units(source, stream)
-        elif source.content is RosContent.HAPTICS:
+        if unit is not None:
+            stream = self._stream(source)
+            for each in stream.handle_unit(unit, stamp, now_ns, subscribed=bool(chosen)):
+                at_ns, codec = each.captured_ns, each.unit.codec
+                message = self._messages.video(each.data, source.name, at_ns, codec)
+                for publication in source.publications:
+                    yield Outbound(publication, message)
+        elif source.topic.type is HapticBlock:
             yield from self._haptics(source, octets, chosen)
-        elif source.content is RosContent.JOYSTICK:
+        elif source.topic.type is JoystickStatus:
             status: JoystickStatus = source.topic.unpack(octets)
             self._halves = {"x": status.half_width_m, "y": status.half_height_m}
             self._halves |= {axis.name: axis.half_range for axis in status.axes}
@@ -208,22 +160,8 @@ class OutgoingMessages:
                 line = f"{news.fields['sender']}: {news.fields['text']}"
                 yield Outbound(CHAT_TOPIC, self._messages.text(line))
 
-    def next_event(self) -> tuple[RosSource, KeyPictureWanted] | None:
-        """Return a key picture that is wanted for those who subscribed, or None."""
-        for source, stream in self._streams.items():
-            if (wanted := stream.next_event()) is not None:
-                return source, wanted
-        return None
-
-    def key_picture(self, source: RosSource, number: int, key: bytes | None) -> Iterator[Outbound]:
-        """Yield the messages that waited for a key picture; None: it could not be made."""
-        stream = self._stream(source)
-        stream.handle_key_picture(number, key)
-        yield from self._units(source, stream)
-
-    def metrics(self, told: bytes, now_ns: int) -> Outbound:
-        """Return the diagnostics of what the launcher has told: a `MonitoredSession`."""
-        news = msgspec.json.decode(told, type=MonitoredSession)
+    def metrics(self, news: SessionNews, now_ns: int) -> Outbound:
+        """Return the diagnostics of what the launcher has told."""
         report = msgspec.json.decode(news.report)
         parts = {
             f"{part} {name}": {
@@ -238,12 +176,6 @@ class OutgoingMessages:
 
     def _stream(self, source: RosSource) -> JoinedStream:
         return self._streams.setdefault(source, JoinedStream())
-
-    def _units(self, source: RosSource, stream: JoinedStream) -> Iterator[Outbound]:
-        for unit in stream.poll_transmit():
-            message = self._messages.video(unit.data, source.name, unit.session_ns, unit.codec)
-            for publication in source.publications:
-                yield Outbound(publication, message)
 
     def _haptics(
         self, source: RosSource, octets: bytes, chosen: Iterable[Publication]

@@ -7,7 +7,7 @@ are read only while something of them has a subscriber, so no picture is coded f
 import json
 from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import zenoh
@@ -19,7 +19,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.metrics import Newest
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import ROS2_HAND_TOPIC
-from pipelines.media.key_picture_maker import KeyPictureMaker
+from pipelines.hand.haptic_trace import HapticBlock
 from pipelines.ros2.hand import Ros2Hand
 from pipelines.ros2.outgoing import Outbound, OutgoingMessages
 from pipelines.ros2.publications import (
@@ -33,7 +33,6 @@ from pipelines.ros2.publications import (
     Endpoint,
     Node,
     Publication,
-    RosContent,
     RosQuality,
     RosSource,
     gid_of,
@@ -44,7 +43,8 @@ from pipelines.ros2.ros_messages import MOST_OCTETS, RosMessages
 from pipelines.session.process import Context
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import TopicWriter
-from pipelines.session.topology import ROS2, Topology
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import ROS2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,8 +72,6 @@ _WAKE_NS = 10 * NS_PER_MS
 _LOOK_NS = 100 * NS_PER_MS
 #: Unread samples of a topic that are kept, and messages that come in: the newest.
 _DEPTH = 32
-#: Access units, because a key picture may be made of them; news, because nothing is said twice.
-_ALWAYS_READ = (RosContent.UNIT, RosContent.NEWS)
 #: As the sessions of rmw_zenoh. The router is tried again for ever.
 _CONFIG = {
     "mode": "peer",
@@ -98,7 +96,7 @@ def run_ros2(context: Context, router: str, domain: int) -> None:
     with context.open_bus() as bus, ThreadPoolExecutor(1) as thread:
         process = _Ros2Process(context, bus)
         opening = thread.submit(zenoh.open, config)
-        # No unit must be missed: with those of before, a key picture can be made.
+        # No news must be missed, because nothing is said twice.
         while not (opening.done() or context.stopping):
             process.handle_wake()
             context.clock.sleep_until_ns(context.clock.now_ns() + _WAKE_NS)
@@ -155,15 +153,12 @@ class _Ros2Process:
         self._readers = {
             source: bus.reader(source.topic, depth=_DEPTH)
             for source in self._sources
-            if source.content in _ALWAYS_READ
+            if not source.publications
         }
         #: Those whose pictures have subscribers.
         self._pictured: list[RosSource] = []
         self._wanted: set[Publication] = set()
         self._malformed, self._connected = 0, False
-        self._maker = KeyPictureMaker()
-        #: Key pictures that are being made.
-        self._keys: dict[tuple[RosSource, int], Future[bytes | None]] = {}
         #: Sources to which somebody just subscribed.
         self._joined: set[RosSource] = set()
         self._hand: Ros2Hand | None = None
@@ -183,7 +178,6 @@ class _Ros2Process:
                 self._look(now_ns)
             self._steer()
             self.handle_wake()
-            self._exchange_keys()
             for source in self._pictured:
                 self._picture(source)
                 # Coding takes milliseconds, which a hand shall not wait for.
@@ -191,15 +185,14 @@ class _Ros2Process:
             asked = self._wanted or self._hand is not None
             due_ns = max(due_ns + (_WAKE_NS if asked else _LOOK_NS), now_ns)
             context.clock.sleep_until_ns(due_ns)
-        self._maker.close()
 
     def handle_wake(self) -> None:
         """Read what has come, and publish it if it is wanted."""
         now_ns = self._now_ns()
         self._context.tick(now_ns)
-        while (told := self._context.receive_metrics()) is not None:
+        while (news := self._context.receive_news()) is not None:
             if DIAGNOSTICS_TOPIC in self._wanted:
-                self._publish(self._messages.metrics(told, now_ns))
+                self._publish(self._messages.metrics(news, now_ns))
         self._read(now_ns)
 
     def _declare(self, domain: int) -> None:
@@ -223,7 +216,7 @@ class _Ros2Process:
             )
             for source in self._sources
             for publication in source.publications
-            if source.content is RosContent.UNIT
+            if source.is_coded
         }
         if ROS2_HAND_TOPIC not in topology.process(ROS2).writes:
             return
@@ -255,16 +248,16 @@ class _Ros2Process:
         self._pictured = []
         for source in self._sources:
             wanted = self._wanted.intersection(source.publications)
-            picture = source.content is RosContent.PICTURE
+            picture = source.is_picture
             if wanted and picture:
                 self._pictured.append(source)
             if wanted and source not in self._readers:
                 self._messages.handle_joined(source)
                 depth = 1 if picture else _DEPTH
                 self._readers[source] = self._bus.reader(source.topic, depth=depth)
-            elif not wanted and source in self._readers and source.content not in _ALWAYS_READ:
+            elif not wanted and source in self._readers and source.publications:
                 self._readers.pop(source).close()
-            if source.content is RosContent.UNIT and (source in self._joined or wanted - before):
+            if source.is_coded and (source in self._joined or wanted - before):
                 self._messages.handle_subscriber(source, now_ns)
         # A subscription may come a little after its token: it is heeded at the next look.
         self._joined = set()
@@ -275,10 +268,12 @@ class _Ros2Process:
 
     def _read(self, now_ns: int) -> None:
         for source, reader in self._readers.items():
-            if source.content is RosContent.PICTURE:
+            if source.is_picture:
                 continue
+            if source.is_coded and self._messages.poll_ask(source, now_ns):
+                reader.rejoin()
             # Of haptics no more are published at once than a subscriber keeps, too.
-            most = KEPT if source.content is RosContent.HAPTICS else _DEPTH
+            most = KEPT if source.topic.type is HapticBlock else _DEPTH
             samples: deque[tuple[bytes, CaptureStamp]] = deque(maxlen=most)
             for _ in range(_DEPTH):
                 if (lease := reader.next()) is None:
@@ -300,17 +295,6 @@ class _Ros2Process:
             made = list(messages.picture(source, lease.video().data, lease.stamp))
         for message in made:
             self._publish(message)
-
-    def _exchange_keys(self) -> None:
-        """Have the key pictures made that are wanted, and publish those that are there."""
-        while (event := self._messages.next_event()) is not None:
-            source, wanted = event
-            made = self._maker.of_units(wanted.units, wanted.width, wanted.height)
-            self._keys[source, wanted.number] = made
-        for source, number in [key for key, made in self._keys.items() if made.done()]:
-            key = self._keys.pop((source, number)).result()
-            for message in self._messages.key_picture(source, number, key):
-                self._publish(message)
 
     def _publish(self, message: Outbound) -> None:
         publisher = self._publishers.get(message.publication)

@@ -22,11 +22,14 @@ from hashlib import blake2b
 from typing import Final, NamedTuple, Self
 
 from kontur_av.errors import ProtocolError
+from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
-from pipelines.session.topology import Kind, Segment, Topology
+from pipelines.session.topology.rows import Kind
+from pipelines.session.topology.table import Topology
 
 _GID_OCTETS: Final = 16
 _ATTACHMENT = struct.Struct(f"<qqB{_GID_OCTETS}s")
@@ -143,16 +146,6 @@ POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
 WRENCH, DIAGNOSTICS = "geometry_msgs/msg/WrenchStamped", "diagnostic_msgs/msg/DiagnosticArray"
 
 
-class RosContent(Enum):
-    """What a sample of a topic holds."""
-
-    PICTURE = "picture"
-    UNIT = "access unit"
-    HAPTICS = "cycles of one end of the hand"
-    JOYSTICK = "state of the joystick"
-    NEWS = "news of telecommands and telemetry"
-
-
 class Publication(NamedTuple):
     """A topic of ROS 2. type: of its messages."""
 
@@ -179,9 +172,18 @@ class RosSource:
     """
 
     topic: AnyTopic
-    content: RosContent
     name: str
     publications: tuple[Publication, ...] = ()
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether its samples are pictures, of which some are coded."""
+        return self.topic.type is None
+
+    @property
+    def is_coded(self) -> bool:
+        """Whether its samples are access units."""
+        return self.topic.type is CodedUnit
 
 
 def sources_of(topology: Topology) -> tuple[RosSource, ...]:
@@ -199,20 +201,20 @@ def _sources(topology: Topology) -> Iterator[RosSource]:
     for row in topology.inputs:
         if row.kind is Kind.VIDEO:
             image = Publication(f"{NAMESPACE}/camera/{row.name}/compressed", IMAGE)
-            yield RosSource(row.topic, RosContent.PICTURE, row.name, (image,))
+            yield RosSource(row.topic, row.name, (image,))
     for video in topology.video_streams:
         for way, topic in (("sent", video.sent_topic), ("received", video.coded_topic)):
             coded = Publication(f"{NAMESPACE}/{video.name}/{way}", VIDEO)
-            yield RosSource(topic, RosContent.UNIT, video.name, (coded,))
+            yield RosSource(topic, video.name, (coded,))
         seen = Publication(f"{NAMESPACE}/{video.name}/received/compressed", IMAGE)
-        yield RosSource(video.received_topic, RosContent.PICTURE, video.name, (seen,))
-    yield RosSource(ROBOT_TRACE_TOPIC, RosContent.HAPTICS, "tip", _moved("tip"))
+        yield RosSource(video.received_topic, video.name, (seen,))
+    yield RosSource(ROBOT_TRACE_TOPIC, "tip", _moved("tip"))
     joy = Publication(f"{NAMESPACE}/handle/joy", JOY)
     # Its half ranges make shares of places.
-    yield RosSource(JOYSTICK_STATE_TOPIC, RosContent.JOYSTICK, "handle", (joy,))
-    yield RosSource(JOYSTICK_TRACE_TOPIC, RosContent.HAPTICS, "handle", (*_moved("handle"), joy))
+    yield RosSource(JOYSTICK_STATE_TOPIC, "handle", (joy,))
+    yield RosSource(JOYSTICK_TRACE_TOPIC, "handle", (*_moved("handle"), joy))
     for segment in Segment:
-        yield RosSource(TMTC_TOPICS[segment], RosContent.NEWS, "chat")
+        yield RosSource(TMTC_TOPICS[segment], "chat")
 
 
 def _moved(end: str) -> tuple[Publication, ...]:

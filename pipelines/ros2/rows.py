@@ -2,7 +2,9 @@
 
 from pipelines.hand.hand_topics import ROS2_HAND_TOPIC
 from pipelines.ros2.publications import sources_of
-from pipelines.session.topology import ROS2, WATCHER_PRIORITY, ProcessRow, Stage, Topology, given
+from pipelines.session.topology.rows import WATCHER_PRIORITY, ProcessRow, Stage, given
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import ROS2
 from telepresence.haptics.specs import ROS2_HAND
 
 

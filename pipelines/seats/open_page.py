@@ -14,7 +14,7 @@ The queue is bounded, whatever the page does.
 
 They are sent in this order: pongs, answers, state, sound, haptics, units, the mission's
 texts, figures, previews.
-A replay is as long as the history from which it is taken, and there is one at a time of a stream.
+A replay is a key picture and the units since, and there is one at a time of a stream.
 """
 
 from collections import deque
@@ -25,7 +25,7 @@ from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.media import I420, CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import rows_of
-from pipelines.media.unit_history import KeptUnit, UnitHistory
+from pipelines.media.joined_units import JoinedUnits, StreamUnit
 from pipelines.seats.plan import SeatStream
 from pipelines.seats.texts import Via
 from pipelines.session.access import Role
@@ -33,6 +33,7 @@ from pipelines.session.page_messages import (
     DAMAGED,
     KEY,
     REPLAYED,
+    UNKNOWN_US,
     pack_haptic,
     pack_preview,
     pack_sound,
@@ -77,15 +78,16 @@ class Lane:
     """Units of one stream on their way to one page.
 
     Each unit refers to the one before, so none may be missing. If they do not fit, all are dropped
-    and the gate closes. It opens again with a key unit, or with a replay of the history.
+    and the gate closes. It opens again with a key unit, or with a replay.
 
-    open: units pass. left_out: units that were dropped because the page was too slow.
+    open: units pass. begun: they have passed before.
+    left_out: units that were dropped because the page was too slow.
     """
 
     def __init__(self) -> None:
         self.open = False
         self.left_out = 0
-        self._begun = False
+        self.begun = False
         self._replay: deque[bytes] = deque()
         self._units: deque[bytes] = deque()
         self._octets = 0
@@ -96,15 +98,15 @@ class Lane:
     def put_replay(self, messages: Iterable[bytes]) -> None:
         self._clear()
         self._replay.extend(messages)
-        self.open = self._begun = True
+        self.open = self.begun = True
 
     def put_unit(self, message: bytes, *, key: bool) -> None:
         """Put a unit behind those that wait, if the gate is open, or opens with it."""
-        if not self.open and self._begun and key:
+        if not self.open and self.begun and key:
             self.open = True
         if not self.open:
             # Before its first picture a page is not slow, it only waits.
-            self.left_out += self._begun
+            self.left_out += self.begun
             return
         full = len(self._units) >= MOST_UNITS or self._octets + len(message) > MOST_UNIT_OCTETS
         if self._units and full:
@@ -237,68 +239,41 @@ class OpenPage(PageTalker):
 
 
 class SeatMedia:
-    """Passes media on to pages, and replays units for a page whose decoder has to begin. A core.
+    """Passes media on to pages, and has a page's decoder begin with a key picture. A core.
 
     pages: those that are open, by number.
     """
 
     def __init__(self, streams: Sequence[SeatStream], pages: Mapping[int, OpenPage]) -> None:
         self._pages = pages
-        self._histories = {
-            each.index: UnitHistory(
-                pictures=each.decoded_topic is not None, filmed=bool(each.filmed_topics)
-            )
-            for each in streams
-            if each.via is not Via.SOUND
-        }
-        self._topics = {each.index: each.filmed_topics for each in streams}
+        self._streams = {each.index: JoinedUnits() for each in streams if each.via is not Via.SOUND}
 
     @property
     def lanes(self) -> list[int]:
         """Indices of the streams of pictures."""
-        return list(self._histories)
+        return list(self._streams)
 
     def handle_unit(self, stream: int, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> None:
-        history = self._histories[stream]
-        kept = history.handle_unit(unit, stamp, now_ns)
-        if kept is None or not self._pages:
-            return
-        message = _packed(stream, kept)
-        for page in self._seeing():
-            lane = page.queue.lanes[stream]
-            if lane.open or not page.idle:
-                lane.put_unit(message, key=kept.key)
-            else:
-                self.replay(page)
+        waiting = self._waiting(stream)
+        joined = self._streams[stream].handle_unit(unit, stamp, now_ns, waits=bool(waiting))
+        if joined.live is not None:
+            message = _packed(stream, joined.live)
+            for page in self._seeing():
+                if page.queue.lanes[stream].open or not page.idle:
+                    page.queue.lanes[stream].put_unit(message, key=unit.key)
+        if joined.begin:
+            *before, last = joined.begin
+            messages = [*(_packed(stream, each, REPLAYED) for each in before)]
+            for page in waiting:
+                page.queue.lanes[stream].put_replay([*messages, _packed(stream, last)])
 
-    def handle_decoded(self, stream: int, key: bytes, rtp_timestamp: int) -> bool:
-        """The picture of a unit, as a key unit. False: that unit is not known."""
-        taken = self._histories[stream].handle_picture(key, rtp_timestamp)
-        self._replay_idle()
-        return taken
-
-    def handle_filmed(self, stream: int, key: bytes, sequence: int) -> bool:
-        """What was filmed for the unit of this number, as a key unit. False: it is not known."""
-        taken = self._histories[stream].handle_filmed(key, sequence)
-        self._replay_idle()
-        return taken
-
-    def wanted_pictures(self) -> list[int]:
-        """Streams of which the shell is to fetch a decoded picture for `handle_decoded`."""
-        return [index for index in self._joined() if self._histories[index].needs_picture]
-
-    def wanted_filmed(self, camera: str | None) -> dict[int, str]:
-        """By stream: the topic of pictures that the shell is to fetch for `handle_filmed`.
-
-        camera: the selected one; None if it is not known.
-        """
-        if camera is None:
-            return {}
-        return {
-            index: self._topics[index][camera]
-            for index in self._joined()
-            if self._histories[index].needs_filmed and camera in self._topics[index]
-        }
+    def poll_asks(self, now_ns: int) -> list[int]:
+        """Return the streams whose coders are to be asked for a key picture."""
+        return [
+            index
+            for index, joined in self._streams.items()
+            if joined.poll_ask(now_ns, waits=bool(self._waiting(index)))
+        ]
 
     def handle_sound(self, stream: int, samples: bytes, stamp: CaptureStamp) -> None:
         message = pack_sound(
@@ -321,33 +296,19 @@ class SeatMedia:
         for page in self._seeing():
             page.queue.put_preview(preview, message)
 
-    def replay(self, page: OpenPage) -> None:
-        """Open the closed lanes of a page with what a decoder needs to begin now."""
-        for stream, lane in page.queue.lanes.items():
-            units = None if lane.open else self._histories[stream].replay()
-            if units is not None:
-                *before, last = units
-                messages = [*(_packed(stream, unit, REPLAYED) for unit in before)]
-                lane.put_replay([*messages, _packed(stream, last)])
-
     def _seeing(self) -> list[OpenPage]:
         """Pages with pictures, sound and haptics."""
         return [page for page in self._pages.values() if not page.plain]
 
-    def _joined(self) -> list[int]:
-        """Streams with units that a page waits for."""
-        return [
-            index
-            for index in self._histories
-            if any(not page.queue.lanes[index].open for page in self._seeing())
-        ]
-
-    def _replay_idle(self) -> None:
-        for page in self._pages.values():
-            if page.idle:
-                self.replay(page)
+    def _waiting(self, stream: int) -> list[OpenPage]:
+        """Pages that can begin with a stream; one that was too slow has to take all before."""
+        lanes = [(page, page.queue.lanes[stream]) for page in self._seeing()]
+        return [page for page, lane in lanes if not lane.open and (page.idle or not lane.begun)]
 
 
-def _packed(stream: int, unit: KeptUnit, more_flags: int = 0) -> bytes:
-    flags = KEY * unit.key | DAMAGED * unit.damaged | more_flags
-    return pack_unit(stream, flags, unit.sequence, unit.capture_us, unit.data)
+def _packed(stream: int, came: StreamUnit, more_flags: int = 0) -> bytes:
+    unit, stamp = came.unit, came.stamp
+    damaged = unit.damaged or stamp.quality is Quality.DAMAGED
+    flags = KEY * unit.key | DAMAGED * damaged | more_flags
+    capture_us = stamp.capture_ns // NS_PER_US if unit.dated else UNKNOWN_US
+    return pack_unit(stream, flags, stamp.sequence, capture_us, came.data)

@@ -23,18 +23,15 @@ from pipelines.session.mission_messages import (
     RobotStatus,
 )
 from pipelines.session.session_metrics import gathered
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topic import AnyTopic, Topic
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import Kind
+from pipelines.session.topology.streams import partner_camera, partner_voice
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     RTC_CODED_CAMERA_TOPIC,
-    RTC_DECODED_CAMERA_TOPIC,
     RTC_VOICE_TOPIC,
-    Direction,
-    Segment,
-    Topology,
-    VideoRow,
-    partner_camera,
-    partner_voice,
 )
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
@@ -50,16 +47,10 @@ from telepresence.tmtc.pus.dictionary import Dictionary
 
 @dataclass(frozen=True, kw_only=True)
 class SeatStream:
-    """A stream for a seat's pages. topic: its units or blocks. text: what pages are told of it.
-
-    decoded_topic: the pictures of its units; None if there are none here.
-    filmed_topics: by camera, the pictures that its sender encodes; none if they are not here.
-    """
+    """A stream for a seat's pages. topic: its units or blocks. text: what pages are told of it."""
 
     text: texts.StreamText
     topic: str
-    decoded_topic: str | None = None
-    filmed_topics: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def index(self) -> int:
@@ -217,25 +208,16 @@ def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
     told = partial(_stream_text, topology)
     index = 0
     for row in topology.media_streams:
-        video = row if isinstance(row, VideoRow) else None
-        if row.direction.receiver is segment and video is None:
-            yield SeatStream(
-                text=told(index, texts.Via.SOUND, row.stream), topic=row.received_topic
-            )
-        elif row.direction.receiver is segment and video is not None:
-            yield SeatStream(
-                text=told(index, texts.Via.CODED, row.stream),
-                topic=video.coded_topic,
-                decoded_topic=video.decoded_topic,
-            )
-        elif segment is Segment.GROUND and video is not None:
-            yield SeatStream(
-                text=told(index, texts.Via.SENT, row.stream),
-                topic=video.sent_topic,
-                filmed_topics={row.name: row.topic for row in topology.cameras},
-            )
+        comes = row.direction.receiver is segment
+        if row.kind is Kind.VOICE and comes:
+            via, topic = texts.Via.SOUND, row.received_topic
+        elif row.kind is Kind.VIDEO and comes:
+            via, topic = texts.Via.CODED, row.coded_topic
+        elif row.kind is Kind.VIDEO and segment is Segment.GROUND:
+            via, topic = texts.Via.SENT, row.sent_topic
         else:
             continue
+        yield SeatStream(text=told(index, via, row.stream), topic=topic)
         index += 1
     leg = topology.setup.rtc
     if segment is Segment.GROUND and leg is not None:
@@ -243,7 +225,6 @@ def _streams(topology: Topology, segment: Segment) -> Iterator[SeatStream]:
         yield SeatStream(
             text=told(index, texts.Via.CODED, partner_camera(leg)),
             topic=RTC_CODED_CAMERA_TOPIC,
-            decoded_topic=RTC_DECODED_CAMERA_TOPIC,
         )
         voice = told(index + 1, texts.Via.SOUND, partner_voice(leg))
         yield SeatStream(text=voice, topic=RTC_VOICE_TOPIC)

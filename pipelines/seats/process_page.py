@@ -16,14 +16,15 @@ from pipelines.seats.page_metrics import PageMetrics
 from pipelines.seats.plan import seat_plan, welcome_text
 from pipelines.seats.seat import Seat
 from pipelines.seats.seat_sockets import Message, SeatSockets
-from pipelines.seats.seat_topics import KeyPictures, SeatDeeds, SeatTopics
+from pipelines.seats.seat_topics import SeatDeeds, SeatTopics
 from pipelines.seats.texts import pack_text
 from pipelines.seats.upkeep_watch import UpkeepWatch
 from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Found, Role
 from pipelines.session.page_messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
-from pipelines.session.topology import PAGES, Segment
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import PAGES
 from pipelines.session.web_site import WebSite
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -86,9 +87,8 @@ class PageServer:
         self._sockets = SeatSockets(self._now_ns)
         self._wakes: dict[int, asyncio.Event] = {}
         self._media = 0
-        self._keys = KeyPictures(self._seat, self._serving, bus, self._settle)
         self._topics = SeatTopics(
-            self._seat, self._serving, bus, self._keys, now_ns=self._now_ns, settle=self._settle
+            self._seat, self._serving, bus, now_ns=self._now_ns, settle=self._settle
         )
         self._deeds = SeatDeeds(self._seat, context, self._serving, bus, self._settle)
         self._upkeep = UpkeepWatch(context.session, self._seat, self._serving, files, self._now_ns)
@@ -104,7 +104,6 @@ class PageServer:
                 await self._serving.run()
         finally:
             self._topics.close()
-            self._keys.close()
 
     def _handle_time(self, now_ns: int) -> None:
         if self._seat.watching:
@@ -116,8 +115,8 @@ class PageServer:
         self._sockets.handle_time(now_ns)
 
     def _metrics(self) -> None:
-        while (text := self._context.receive_metrics()) is not None:
-            self._seat.handle_metrics(text, self._now_ns())
+        while (news := self._context.receive_news()) is not None:
+            self._seat.handle_session(news, self._now_ns())
         self._settle()
 
     def _watch(self) -> None:
@@ -131,7 +130,7 @@ class PageServer:
         for number, wake in self._wakes.items():
             if self._seat.waits(number):
                 wake.set()
-        self._keys.fetch()
+        self._topics.ask()
 
     # HTTP
 

@@ -11,18 +11,14 @@ from pipelines.session.mission_messages import (
     MISSION_PANEL_TOPIC,
     ROBOT_STATUS_TOPIC,
 )
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import Kind, ProcessRow, Stage
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import (
     PAGES,
     RTC_CODED_CAMERA_TOPIC,
-    RTC_DECODED_CAMERA_TOPIC,
     RTC_VOICE_TOPIC,
-    Kind,
-    ProcessRow,
-    Segment,
-    Stage,
-    Topology,
-    VideoRow,
 )
 from pipelines.session.training import TRAINER_TOPIC
 
@@ -34,7 +30,6 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             MISSION_GROUND_TOPIC,
             ROBOT_STATUS_TOPIC,
             RTC_CODED_CAMERA_TOPIC,
-            RTC_DECODED_CAMERA_TOPIC,
             RTC_VOICE_TOPIC,
             *_own_cameras(session),
             SELECTED_TOPIC,
@@ -67,22 +62,16 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
 def _received(session: Topology, segment: Segment) -> Iterable[AnyTopic]:
     """What comes through the link to a segment, and what its own end says."""
     rows = [row for row in session.media_streams if row.direction.receiver is segment]
-    for row in rows:
-        if isinstance(row, VideoRow):
-            yield from (row.coded_topic, row.decoded_topic)
+    yield from (row.coded_topic for row in rows if row.kind is Kind.VIDEO)
     yield from (row.received_topic for row in rows if row.kind is Kind.VOICE)
     yield session.link(segment.transmits).backlog_topic
     yield TMTC_TOPICS[segment]
 
 
 def _own_cameras(session: Topology) -> Iterable[AnyTopic]:
-    """What the ground sees of its own cameras: the picture as it is sent, and all of them small.
-
-    The pictures themselves only for a page that joins a stream of which nothing is known.
-    """
+    """What the ground sees of its own cameras: the picture as it is sent, and all of them small."""
     video = session.video(session.setup.uplink_video.name)
     yield video.sent_topic
-    yield from (row.topic for row in session.cameras)
     yield from (session.input(name).preview_topic for name in video.inputs)
 
 

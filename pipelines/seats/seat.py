@@ -15,12 +15,12 @@ from pipelines.seats import texts
 from pipelines.seats.holders import HandGate, HandleAuthority, JoystickClient, OwnInputs
 from pipelines.seats.mission_client import MissionClient
 from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
-from pipelines.seats.page_metrics import HOLDER, FiguresLog
+from pipelines.seats.page_metrics import HOLDER
 from pipelines.seats.plan import SeatPlan, Shown
 from pipelines.session.access import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.mission_messages import RobotStatus
 from pipelines.session.page_messages import Ping, pack_pong, parse_seat_message
-from pipelines.session.session_metrics import gathered
+from pipelines.session.session_metrics import Event, Figure, SessionNews, gathered
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
 from telepresence.haptics.device import states
@@ -51,6 +51,8 @@ SeatEvent = PageInput | HandRequest | Order | PageRequest | StopAsked | TmtcRequ
 #: Pages that are open at a time: of viewers, and of all who may act.
 MOST_VIEWERS, MOST_ACTING = 12, 12
 HEARTBEAT_NS = 100 * NS_PER_MS
+#: As many as the launcher keeps.
+_MOST_EVENTS = 200
 
 
 class _Rule(NamedTuple):
@@ -128,7 +130,9 @@ class Seat:
         self.mission = MissionClient(
             plan.segment, plan.dictionary, client=f"page.{plan.segment.value}.{first_command}"
         )
-        self._metrics = FiguresLog()
+        #: The launcher's newest message, and the newest events of all its messages.
+        self._session: SessionNews | None = None
+        self._happened: deque[Event] = deque(maxlen=_MOST_EVENTS)
         self._joystick: texts.JoystickText | None = None
         self._safety = texts.SafetyText(
             stopped=False, answered=False, by="", waiting=False, hold=""
@@ -155,7 +159,8 @@ class Seat:
     def holder(self) -> int | None:
         """Number of the page that holds the handle; ground control is told it by the launcher."""
         if self.plan.segment is Segment.GROUND:
-            return self._metrics.number(HOLDER)
+            holder = self._figure(HOLDER)
+            return holder if isinstance(holder, int) else None
         return self._hand.state.holder
 
     def is_full(self, role: Role) -> bool:
@@ -183,10 +188,9 @@ class Seat:
         for kind, text in self.mission.texts.items():
             page.queue.put_newest(kind, text)
         page.queue.put_state(self._state_text(number, now_ns))
-        metrics = self._metrics.joined_text()
-        if metrics is not None:
-            page.queue.put_metrics(metrics)
-        self.media.replay(page)
+        if self._session is not None:
+            joined = replace(self._session, events=tuple(self._happened))
+            page.queue.put_metrics(texts.pack_text(joined))
         return number
 
     def _free_name(self, role: Role) -> str:
@@ -200,7 +204,7 @@ class Seat:
         """A page is gone; its hand lets go at once."""
         self._left_out += self._pages.pop(number).queue.units_left_out
         self._hand.handle_gone(number)
-        self._settle_hand(now_ns)
+        self._settle(now_ns)
 
     def handle_media_opened(self, role: Role) -> int:
         """The socket of a page's own camera or microphone was opened; return its number."""
@@ -220,10 +224,6 @@ class Seat:
         """Return the next message for a page, or None. Call it when the page can take one."""
         page = self._pages[number]
         message = page.queue.pop()
-        if message is None:
-            # It has taken all, so it can take a replay of what was left out.
-            self.media.replay(page)
-            message = page.queue.pop()
         page.idle = message is None
         return message
 
@@ -254,9 +254,7 @@ class Seat:
         error = self._handle_request(page, request, now_ns)
         if error is not None:
             self._answer(texts.Answered(number, request.request, error))
-        self._settle_hand(now_ns)
-        self._settle_service(now_ns)
-        self._settle_mission(now_ns)
+        self._settle(now_ns)
 
     def _handle_request(
         self, page: OpenPage, request: texts.SeatRequest, now_ns: int
@@ -323,7 +321,7 @@ class Seat:
         )
         self._hear_robot(status.robot_stopped, status.robot_waits, "")
         self._service.handle_status(status)
-        self._settle_service(now_ns)
+        self._settle(now_ns)
         if told != self._joystick:
             self._joystick = told
             self._publish_state(now_ns)
@@ -337,7 +335,7 @@ class Seat:
 
     def handle_news(self, news: TmtcNews, now_ns: int) -> None:
         self.mission.handle_news(news, now_ns)
-        self._settle_mission(now_ns)
+        self._settle(now_ns)
 
     def handle_shown(self, kind: str, shown: Shown) -> None:
         """What a process of the mission shows; pages get it with the next heartbeat."""
@@ -365,23 +363,26 @@ class Seat:
         """The answer of recorder, trainer or file transfer. error: "" if it does what was asked."""
         self._answer(texts.Answered(asked.page, asked.request.request, error))
 
-    def handle_metrics(self, text: bytes, now_ns: int) -> None:
+    def handle_session(self, news: SessionNews, now_ns: int) -> None:
         """A message of the launcher; pages get it unchanged."""
-        self._metrics.handle_metrics(text)
-        words = text.decode()
+        self._session = news
+        self._happened.extend(news.events)
+        words = texts.pack_text(news)
         for page in self._pages.values():
             page.queue.put_metrics(words)
-        selected = self._metrics.word("processes.selector.selected")
-        if self.plan.segment is Segment.SPACE and selected is not None:
+        selected = self._figure("processes.selector.selected")
+        if self.plan.segment is Segment.SPACE and isinstance(selected, str):
             self.handle_camera(selected, now_ns)
+
+    def _figure(self, name: str) -> Figure:
+        return None if self._session is None else self._session.figures.get(name)
 
     # Time
 
     def handle_time(self, now_ns: int) -> None:
         """Send the heartbeat if it is due."""
         self._service.handle_timeout(now_ns)
-        self._settle_service(now_ns)
-        self._settle_mission(now_ns)
+        self._settle(now_ns)
         if now_ns >= self._due_ns:
             self._publish_state(now_ns)
             self._publish_mission()
@@ -393,9 +394,10 @@ class Seat:
 
     def _state_text(self, number: int, now_ns: int) -> str:
         hand = self._hand.state
-        state = self._metrics.word(f"gateways.{self.plan.segment.value}.supervision.state")
+        state = self._figure(f"gateways.{self.plan.segment.value}.supervision.state")
         signal = state == "connected" if self._signal is None else self._signal
-        connected = signal and state in (None, "connected") and self._metrics.running
+        runs = self._session is None or self._session.state == "running"
+        connected = signal and state in (None, "connected") and runs
         return texts.pack_text(
             texts.StateText(
                 now_us=now_ns // NS_PER_US,
@@ -419,33 +421,28 @@ class Seat:
             )
         )
 
-    def _settle_hand(self, now_ns: int) -> None:
-        """The holder may have changed: the hand before lets go, and all pages are told."""
-        released = self._gate.poll_release(now_ns)
-        if released is not None:
-            self._events.append(released)
-        if self._hand.next_event() is not None:
-            self._publish_state(now_ns)
-
     def _publish_mission(self) -> None:
         for kind, text in self.mission.poll_texts().items():
             for page in self._pages.values():
                 page.queue.put_newest(kind, text)
 
-    def _settle_mission(self, now_ns: int) -> None:
+    def _settle(self, now_ns: int) -> None:
+        """Pass on what hand, joystick and mission have to say after an input."""
+        released = self._gate.poll_release(now_ns)
+        if released is not None:
+            self._events.append(released)
+        if self._hand.next_event() is not None:
+            self._publish_state(now_ns)
+        while (answered := self._service.next_event()) is not None:
+            self._answer(answered)
+        if (command := self._service.poll_transmit(now_ns)) is not None:
+            self._events.append(command)
         while (request := self.mission.poll_transmit(now_ns)) is not None:
             self._events.append(request)
         while (answered := self.mission.next_event()) is not None:
             self._answer(answered)
             if answered.camera:
                 self.handle_camera(answered.camera, now_ns)
-
-    def _settle_service(self, now_ns: int) -> None:
-        while (answered := self._service.next_event()) is not None:
-            self._answer(answered)
-        command = self._service.poll_transmit(now_ns)
-        if command is not None:
-            self._events.append(command)
 
     def _answer(self, answered: texts.Answered) -> None:
         number, request, error, round_trip_ms, _ = answered

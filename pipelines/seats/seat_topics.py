@@ -3,7 +3,7 @@
 import asyncio
 import os
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kontur_av.errors import ConfigError
-from kontur_av.media import I420, CaptureStamp
+from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.hand.hand_topics import (
@@ -24,11 +24,11 @@ from pipelines.hand.hand_topics import (
     HandRequest,
 )
 from pipelines.media.following import SELECTED_TOPIC
-from pipelines.media.key_picture_maker import H264Copy, KeyPictureMaker
+from pipelines.media.key_picture_maker import H264Copy
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.seats.holders import Given
-from pipelines.seats.plan import SeatStream, Shown
+from pipelines.seats.plan import Shown
 from pipelines.seats.seat import PageRequest, Seat, StopAsked
 from pipelines.seats.texts import FetchRequest, RecordingRequest, Via
 from pipelines.seats.upkeep_watch import fetch
@@ -46,9 +46,9 @@ from pipelines.session.recording_requests import (
 from pipelines.session.requests import ask_async
 from pipelines.session.serving_loop import Feed, ServingLoop
 from pipelines.session.session_switch import Order
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
-from pipelines.session.topology import Segment
 from pipelines.session.training import TRAINER_SOCKET, TrainerAnswer, TrainerRequest
 from telepresence.haptics.device.page import PageInput
 
@@ -57,91 +57,6 @@ _DEPTH = 8
 #: HEVC units of a stream that wait for their copy, two seconds of 30 Hz. Newer ones are left out,
 #: and copies come again with the next key picture or wave.
 _MOST_COPYING = 60
-#: Pictures that are kept until the unit of one comes: a sender may wait for its channel.
-_FILMED = 8
-
-
-class KeyPictures:
-    """Fetches pictures of the streams that a page waits for, and codes them beside the event loop.
-
-    settle: called when the seat was given a key.
-    """
-
-    def __init__(
-        self, seat: Seat, serving: ServingLoop, bus: TopicBus, settle: Callable[[], None]
-    ) -> None:
-        self._seat, self._serving, self._bus, self._settle = seat, serving, bus, settle
-        self._decoded: dict[int, Feed] = {}
-        #: By stream: the pictures that its sender may encode, and from which topic they come.
-        self._filmed: dict[int, tuple[str, Feed, deque[tuple[int, I420]]]] = {}
-        self._coding: set[int] = set()
-        self._maker = KeyPictureMaker()
-
-    def handle_unit(self, stream: int, unit: CodedUnit, stamp: CaptureStamp) -> None:
-        """A unit whose picture may be here, for those who cannot begin otherwise."""
-        if stream not in self._filmed or stream in self._coding:
-            return
-        for capture_ns, picture in self._filmed[stream][2]:
-            if capture_ns == stamp.capture_ns:
-                self._coding.add(stream)
-                taken = partial(self._seat.media.handle_filmed, stream, sequence=stamp.sequence)
-                made = self._maker.of_filmed(picture, unit.width, unit.height)
-                self._serving.begin(self._code(stream, made, taken))
-                return
-
-    def fetch(self) -> None:
-        """Read the topics that the seat wants now, and leave the others."""
-        wanted = set(self._seat.media.wanted_pictures())
-        for index in [index for index in self._decoded if index not in wanted]:
-            self._decoded.pop(index).close()
-        for each in self._seat.plan.streams:
-            if each.index in wanted - self._decoded.keys() and each.decoded_topic is not None:
-                self._decoded[each.index] = self._feed(
-                    each.decoded_topic, partial(self._picture, each), depth=1
-                )
-        self._fetch_filmed()
-
-    def close(self) -> None:
-        for feed in (*self._decoded.values(), *(feed for _, feed, _ in self._filmed.values())):
-            feed.close()
-        self._maker.close()
-
-    def _fetch_filmed(self) -> None:
-        """Keep the newest pictures of the selected camera while a page waits for a stream of it."""
-        wanted = self._seat.media.wanted_filmed(self._seat.camera)
-        for index, (topic, feed, _) in list(self._filmed.items()):
-            if wanted.get(index) != topic:
-                del self._filmed[index]
-                feed.close()
-        for index, topic in wanted.items():
-            if index not in self._filmed:
-                kept: deque[tuple[int, I420]] = deque(maxlen=_FILMED)
-                feed = self._feed(topic, partial(self._keep, kept), depth=_DEPTH)
-                self._filmed[index] = topic, feed, kept
-
-    def _keep(self, kept: deque[tuple[int, I420]], lease: Lease) -> None:
-        kept.append((lease.stamp.capture_ns, lease.video().data.copy()))
-
-    def _feed(self, topic: str, handle: Callable[[Lease], None], *, depth: int) -> Feed:
-        feed = Feed(self._serving.loop, self._bus, topic, handle, depth=depth)
-        feed.open()
-        return feed
-
-    def _picture(self, stream: SeatStream, lease: Lease) -> None:
-        """A decoded picture, for those who cannot begin otherwise."""
-        timestamp = lease.stamp.rtp_timestamp
-        if stream.index in self._coding or timestamp is None:
-            return
-        self._coding.add(stream.index)
-        picture = lease.video().data.copy()
-        taken = partial(self._seat.media.handle_decoded, stream.index, rtp_timestamp=timestamp)
-        self._serving.begin(self._code(stream.index, self._maker.of_picture(picture), taken))
-
-    async def _code(self, stream: int, made: Future[bytes], taken: Callable[[bytes], bool]) -> None:
-        key = await asyncio.wrap_future(made)
-        self._coding.discard(stream)
-        taken(key)
-        self._settle()
 
 
 #: As many news of telecommands and telemetry as their topic keeps.
@@ -178,16 +93,17 @@ class SeatTopics:
         seat: Seat,
         serving: ServingLoop,
         bus: TopicBus,
-        keys: KeyPictures,
         *,
         now_ns: Callable[[], int],
         settle: Callable[[], None],
     ) -> None:
-        self._seat, self._keys, self._now_ns, self._settle = seat, keys, now_ns, settle
+        self._seat, self._now_ns, self._settle = seat, now_ns, settle
         self._serving, self._watched = serving, False
         #: By stream of HEVC: its copy for browsers, made in a thread, and units on their way there.
         self._copies: dict[int, H264Copy] = {}
         self._copying: Counter[int] = Counter()
+        #: Streams whose next copy is to be a key picture.
+        self._keys: set[int] = set()
         #: HEVC units of which no copy was made, because copying was behind.
         self.copies_left_out = 0
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="copies")
@@ -196,6 +112,7 @@ class SeatTopics:
             Feed(serving.loop, bus, one.topic, partial(self._take, one), depth=one.depth)
             for one in fed
         ]
+        self._feeds = {one.topic: feed for feed, one in zip(feeds, fed, strict=True)}
         self._always = [feed for feed, one in zip(feeds, fed, strict=True) if one.always]
         self._live = [feed for feed, one in zip(feeds, fed, strict=True) if not one.always]
         self._looked: list[tuple[TopicReader[Any], Callable[[Any, int], None]]] = [
@@ -251,8 +168,16 @@ class SeatTopics:
             if (told := state.latest()) is not None:
                 handle(told, now_ns)
 
+    def ask(self) -> None:
+        """Ask for the key pictures with which pages are to begin."""
+        for stream in self._seat.media.poll_asks(self._now_ns()):
+            if stream in self._copies:
+                self._keys.add(stream)
+            else:
+                self._feeds[self._seat.plan.streams[stream].topic].rejoin()
+
     def close(self) -> None:
-        for feed in (*self._always, *self._live):
+        for feed in self._feeds.values():
             feed.close()
         self._thread.shutdown(wait=False, cancel_futures=True)
 
@@ -273,8 +198,10 @@ class SeatTopics:
         if stream not in self._copies:
             self._copies[stream] = H264Copy()
         self._copying[stream] += 1
-        copy = self._copies[stream].copy
-        made = self._thread.submit(copy, unit, wanted=self._watched and not behind)
+        wanted, key = self._watched and not behind, stream in self._keys
+        if wanted:
+            self._keys.discard(stream)
+        made = self._thread.submit(self._copies[stream].copy, unit, wanted=wanted, key=key)
         self._serving.begin(self._copied(stream, made, lease.stamp))
 
     async def _copied(
@@ -288,7 +215,6 @@ class SeatTopics:
 
     def _show(self, stream: int, unit: CodedUnit, stamp: CaptureStamp) -> None:
         self._seat.media.handle_unit(stream, unit, stamp, self._now_ns())
-        self._keys.handle_unit(stream, unit, stamp)
 
     def _sound(self, stream: int, lease: Lease) -> None:
         self._seat.media.handle_sound(stream, lease.octets(), lease.stamp)

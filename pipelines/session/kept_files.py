@@ -160,6 +160,7 @@ class KeptOrders:
         self._latch: StopFile | None = None
         with suppress(OSError):
             self._latch = StopFile((self._root / _LATCH).readlink())
+        self._last: dict[str, msgspec.Struct] = {}
         # As text, because loops look a hundred times a second, and a `Path` takes twice as long.
         # The second is there only if the first can be looked for.
         self._paths = os.fspath(self._here.path), f"{self._root}/."
@@ -231,6 +232,13 @@ class KeptOrders:
             return unknown
 
     def keep(self, name: str, orders: msgspec.Struct) -> None:
+        """Keep the orders of process `name`, if they differ from the last ones.
+
+        Call it at the start, too: once the disk is full, a file that exists can still be emptied.
+        """
+        if orders == self._last.get(name):
+            return
+        self._last[name] = orders
         path = self._path(name)
         try:
             replace_file(path, msgspec.json.encode(orders))

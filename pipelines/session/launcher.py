@@ -32,12 +32,13 @@ from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
 from pipelines.session.process import Collections, Context, become
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import RECORDER, WATCHER_PRIORITY, ProcessRow, Topology
+from pipelines.session.topology.rows import WATCHER_PRIORITY, ProcessRow
+from pipelines.session.topology.table import Topology
+from pipelines.session.topology.topics import RECORDER
 from pipelines.session.verdict import ObservedTime, ProcessHealth
 
+#: How often the session is shown, on the terminal and to the processes that follow it.
 _SHOW_NS = NS_PER_S
-#: How often pages get figures.
-FEED_NS = 500 * NS_PER_MS
 _MESSAGE_OCTETS = 1 << 20
 #: The exit status of a process whose user's part is to be fixed first.
 _BROKEN = 3
@@ -61,13 +62,13 @@ class Listener(Protocol):
         """The processes are started again after a stop that was asked for."""
 
 
-class FigureFeed(Protocol):
-    """Makes the messages for the processes that serve pages."""
+class MessageFeed(Protocol):
+    """Makes the messages for the processes that follow the session."""
 
-    def poll_messages(self, launcher: "Launcher", now_ns: int) -> Mapping[str, bytes]:
-        """Return a message for each of these processes that somebody watches."""
+    def poll_messages(self, launcher: "Launcher", now_ns: int) -> Mapping[int, bytes]:
+        """Return the messages of this second, by the pid of their receiver."""
 
-    def handle_sent(self, process: str) -> None:
+    def handle_sent(self, pid: int) -> None:
         """The process has been sent its message. One that reads too slowly has lost it."""
 
 
@@ -122,7 +123,7 @@ class Launcher:
     pages: by process, where it serves browser pages.
     awaited: a process that has reported before the next one is started.
     arguments: by process, what its function takes beside the arguments of its row.
-    feed: asked every `FEED_NS` for figures for these processes.
+    feed: asked once a second for messages to processes that follow the session.
     """
 
     session: str
@@ -136,7 +137,7 @@ class Launcher:
     pages: Mapping[str, PageListener] = field(default_factory=dict)
     awaited: str | None = None
     arguments: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
-    feed: FigureFeed | None = None
+    feed: MessageFeed | None = None
     children: list[Child] = field(init=False)
     started_ns: int = 0
     ended_ns: int = 0
@@ -201,7 +202,6 @@ class Launcher:
 
     def _watch(self, end_ns: int | None) -> None:
         show_ns = self.started_ns + _SHOW_NS
-        feed_ns = None if self.feed is None else self.started_ns + FEED_NS
         while not self._stop:
             now_ns = self.clock.now_ns()
             if end_ns is not None and now_ns >= end_ns:
@@ -209,13 +209,11 @@ class Launcher:
             if now_ns >= show_ns:
                 show_ns += _SHOW_NS * ((now_ns - show_ns) // _SHOW_NS + 1)
                 self._show()
+                self._feed_followers(now_ns)
                 self.observed.handle_second(now_ns)
                 self._collections.handle_flush()
-            if feed_ns is not None and now_ns >= feed_ns:
-                feed_ns += FEED_NS * ((now_ns - feed_ns) // FEED_NS + 1)
-                self._feed_pages(now_ns)
             self._follow_switch(now_ns)
-            dues_ns = [show_ns, end_ns, feed_ns, self.switch.poll_timeout()]
+            dues_ns = [show_ns, end_ns, self.switch.poll_timeout()]
             for child in self.children:
                 kill_ns = child.policy.poll_kill()
                 if self._is_lost(child):
@@ -290,17 +288,17 @@ class Launcher:
                     child.stopped = True
                     self._signal(child, number)
 
-    def _feed_pages(self, now_ns: int) -> None:
-        assert self.feed is not None
+    def _feed_followers(self, now_ns: int) -> None:
+        if self.feed is None:
+            return
         messages = self.feed.poll_messages(self, now_ns)
-        for child in self.children:
-            message = messages.get(child.row.name)
-            if message is None or child.link is None:
-                continue
+        links = {child.pid: child.link for child in self.children}
+        for pid, message in messages.items():
             # A process that does not read must not hold up the launcher.
             with suppress(OSError):
-                child.link.send(message, socket.MSG_DONTWAIT)
-                self.feed.handle_sent(child.row.name)
+                if (link := links[pid]) is not None:
+                    link.send(message, socket.MSG_DONTWAIT)
+                    self.feed.handle_sent(pid)
 
     def _show(self) -> None:
         if self.show is None:
@@ -403,7 +401,7 @@ class Launcher:
                     page.socket.close()
             become(child.row, context)
             if os.getppid() != launcher:
-                return 1  # the launcher was killed before PR_SET_PDEATHSIG was set
+                return 1  # the launcher was killed before `become`
             signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
             child.run(context, **child.row.arguments, **self.arguments.get(child.row.name, {}))
             context.flush(self.clock.now_ns())
@@ -479,8 +477,7 @@ class Launcher:
         for child in self.children:
             child.ran = child.pid is not None
         self._end([child for child in self.children if child.row.name != RECORDER])
-        if self.feed is not None:
-            self._feed_pages(self.clock.now_ns())
+        self._feed_followers(self.clock.now_ns())
         self._end(self.children)
 
     def _end(self, children: Sequence[Child]) -> None:

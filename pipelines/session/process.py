@@ -13,19 +13,23 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from pipelines.session import datagrams
+from pipelines.session.command_process import end_with_parent
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import SessionNews
 from pipelines.session.session_switch import Order, ProcessOrder
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import (
+from pipelines.session.topology.rows import (
     LOOP_PRIORITY,
     PICTURE_PRIORITY,
     WATCHER_PRIORITY,
     ProcessRow,
-    Topology,
 )
+from pipelines.session.topology.table import Topology
 
 if TYPE_CHECKING:
     from kontur_av.topics.bus import TopicBus
@@ -47,10 +51,11 @@ _COLLECT_EVERY = 60
 _SHARE_NS = 2 * NS_PER_S
 
 #: The longest message of the launcher to a process.
-MAX_METRICS_OCTETS = 1 << 20
+_MAX_NEWS_OCTETS = 1 << 20
+_NEWS = msgspec.json.Decoder(SessionNews)
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_PR_SET_PDEATHSIG, _PR_SET_NAME, _PR_SET_TIMERSLACK = 1, 15, 29
+_PR_SET_NAME, _PR_SET_TIMERSLACK = 15, 29
 
 
 @dataclass
@@ -165,18 +170,19 @@ class Context:
         self.probe.message.orders.append(order)
         self.flush(now_ns)
 
-    def receive_metrics(self) -> bytes | None:
-        """Return the launcher's next message for pages, one JSON text, or None.
+    def receive_news(self) -> SessionNews | None:
+        """Return the launcher's next message, or None; it never blocks.
 
-        It never blocks. `link` becomes readable when a message waits, so that an event loop can
-        watch `link.fileno()`. Messages come only while `PageMetrics` says that somebody watches.
+        `link` becomes readable when a message waits, so that an event loop can watch
+        `link.fileno()`. Pages get messages only while `PageMetrics` says that somebody watches.
         """
         if self.link is None:
             return None
         try:
-            return self.link.recv(MAX_METRICS_OCTETS, socket.MSG_DONTWAIT) or None
+            text = self.link.recv(_MAX_NEWS_OCTETS, socket.MSG_DONTWAIT)
         except OSError:
             return None
+        return _NEWS.decode(text) if text else None
 
 
 def become(row: ProcessRow, context: Context) -> None:
@@ -185,12 +191,10 @@ def become(row: ProcessRow, context: Context) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: setattr(context, "stopping", True))
-    libc = ctypes.CDLL(None, use_errno=True)
-    prctl = libc.prctl
     context.own_open_files()
     # When the launcher is killed, its processes end, too.
-    prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
+    end_with_parent()
+    ctypes.CDLL(None).prctl(_PR_SET_NAME, f"kav {row.name}".encode()[:15])
     if row.priority == WATCHER_PRIORITY:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
         context.probe.message.scheduler = "idle"

@@ -27,7 +27,9 @@ from pipelines.session.page_sockets import (
     check_certificate,
     listeners,
 )
-from pipelines.session.topology import PAGES, Segment, SessionOptions
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.table import SessionOptions
+from pipelines.session.topology.topics import PAGES
 
 #: The ground's page takes a later port than the operator's.
 _LAST_PORT = 65_534

@@ -103,6 +103,11 @@ class Feed:
             # What came before the first notification.
             self._drain()
 
+    def rejoin(self) -> None:
+        """Let the writer see a reader that joins."""
+        if self._reader is not None:
+            self._reader.rejoin()
+
     def close(self) -> None:
         """Leave the topic, so that nobody writes it in vain."""
         if self._reader is not None and self._waiter is not None:

@@ -7,7 +7,7 @@ A row is an event, such as a packet; its instants are in ns. A row's type names 
 series with the same columns have a type each.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
@@ -77,40 +77,49 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     text: str
 
 
-class SessionEvents(msgspec.Struct, frozen=True, kw_only=True):
-    """What the recorder gets: events that it was not told yet, and figures at times.
+class ProcessNow(msgspec.Struct, frozen=True, kw_only=True):
+    """A process as its launcher knows it; once the session is over, as it was at its end.
 
-    at_us: on the session's clock. metrics: all, by name, as pages get them.
-    """
-
-    at_us: int
-    events: list[Event]
-    metrics: dict[str, int | float | str | bool | None] = {}
-
-
-class MonitoredSession(msgspec.Struct, frozen=True, kw_only=True):
-    """What a monitoring system gets.
-
-    report: JSON of the session's report so far. problems: what is wrong now, a line each.
-    """
-
-    report: msgspec.Raw
-    problems: list[str]
-
-
-class ProcessState(msgspec.Struct, frozen=True, kw_only=True):
-    """What the launcher tells the supervisors of an end's processes, one of each.
-
-    state: `running`, `stopped` by a telecommand, `down` until it is started again, or `absent`.
-    restarts: after ends that nobody asked for. age_ms: of its newest figures; 0 if it does not run.
+    segment: null for both. state: `running`, `stopped` by a telecommand, `down` until it is started
+    again, or `absent`. restarts: after ends that nobody asked for. error: why its newest start that
+    failed ended. trouble: why it does not do its work; "" if it does. cpu_s: of all its starts.
+    cpu: share of a core over the last 2 s; null: not known yet. age_ms: of its newest figures; 0 if
+    it does not run. slips, cycles: as in `LoopMetrics`.
     """
 
     name: str
-    state: Literal["absent", "running", "stopped", "down"]
+    segment: str | None = None
+    state: Literal["absent", "running", "stopped", "down"] = "running"
     restarts: int = 0
+    error: str = ""
+    trouble: str = ""
     cpu_s: float = 0.0
+    cpu: float | None = None
     age_ms: float = 0.0
-    loop: LoopMetrics = LoopMetrics()
+    slips: int = 0
+    cycles: int = 0
+
+
+Figure = int | float | str | bool | None
+
+
+class SessionNews(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="figures"):
+    """What the launcher tells each process that follows the session, once a second.
+
+    at_us: on the session's clock. seconds: since the session began. figures: by name; empty if
+    nobody asks for them. processes: one of each of this machine. events: those that the receiver
+    was not told yet. problems: what is wrong now, a line each. report: the report so far, for
+    monitoring systems alone.
+    """
+
+    at_us: int = 0
+    seconds: float = 0.0
+    state: Literal["running", "stopped"] = "running"
+    figures: Mapping[str, Figure] = {}
+    processes: Sequence[ProcessNow] = ()
+    events: Sequence[Event] = ()
+    problems: Sequence[str] = ()
+    report: msgspec.Raw = msgspec.Raw(b"null")
 
 
 def gathered(kind: type[T], /, *sources: object, **given: Any) -> T:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.session.topology import Stage
+from pipelines.session.topology.rows import Stage
 
 #: The time that processes have to end by themselves.
 TIMEOUT_NS = 3 * NS_PER_S

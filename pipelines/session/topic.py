@@ -13,11 +13,19 @@ T = TypeVar("T")
 _ENCODER = msgspec.msgpack.Encoder(enc_hook=plain)
 
 
+class OpusPacket(bytes):
+    """A packet of sound (RFC 6716)."""
+
+
+class PacketOctets(bytes):
+    """A space packet, with its primary header (CCSDS 133.0-B-2)."""
+
+
 class Topic(str, Generic[T]):
     """The name of a topic in shared memory.
 
-    type: of a sample, which travels as MessagePack; `bytes`: octets as they are; None: pictures or
-    sound, read by lease. what: one sample, in words.
+    type: of a sample, which travels as MessagePack; `bytes` and its subclasses: octets as they are;
+    None: pictures or sound, read by lease. what: one sample, in words.
     """
 
     __slots__ = ("_decoder", "type", "what")
@@ -47,7 +55,7 @@ class Topic(str, Generic[T]):
 
     def unpack(self, octets: bytes) -> T:
         """Return the sample of these octets; ProtocolError for anything else."""
-        if self.type is bytes:
+        if isinstance(self.type, type) and issubclass(self.type, bytes):
             return cast(T, octets)
         if self.type is CodedUnit:
             return cast(T, CodedUnit.unpack(octets))

@@ -19,7 +19,7 @@ from pipelines.session.session_metrics import DatedEvent, TrainerMetrics
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VideoStream
 from pipelines.session.topic import Topic
-from pipelines.session.topology import Topology
+from pipelines.session.topology.table import Topology
 
 #: The name of the trainer's socket.
 TRAINER_SOCKET = "trainer"

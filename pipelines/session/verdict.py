@@ -4,10 +4,10 @@ One that was killed once or twice and came back has done its work: the report wa
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.session.probe import FLUSH_NS
+from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.session_switch import NO_REASON
 
 #: A process looks every 100 ms whether a report is due. So one that has reported nothing for this
@@ -139,21 +139,6 @@ class ProcessHealth:
         if restarts > most_restarts:
             return f"it was started again more than {most_restarts} times: {error}{_SAYS}"
         return ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProcessNow:
-    """A process as its launcher knows it; once the session is over, as it was at its end.
-
-    running: whether it has a life at present. error: why its newest start that failed ended.
-    trouble: as `ProcessHealth` has it.
-    """
-
-    name: str
-    restarts: int
-    running: bool
-    error: str
-    trouble: str = ""
 
 
 def process_failures(processes: Iterable[ProcessNow]) -> list[str]:

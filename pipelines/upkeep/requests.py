@@ -4,7 +4,6 @@ A lock says whether a keeper runs. An order is a file that the keeper answers by
 is the file `run` of a folder; it is watched, and tells its status.
 """
 
-import ctypes
 import errno
 import fcntl
 import os
@@ -18,6 +17,7 @@ from pathlib import Path
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, refused
+from pipelines.session.command_process import end_with_parent
 from telepresence.upkeep.file_store import FileStore, StoredFile, replace_file
 from telepresence.upkeep.inbox import (
     LARGEST_TOLD,
@@ -34,12 +34,6 @@ from telepresence.upkeep.version_stack import VARIABLE, VersionStatus, pack_stat
 #: How long a program may take to end after SIGTERM.
 _END_S = 10.0
 _LARGEST_STATUS = 4096
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)
-
-
-def _end_with_the_keeper() -> None:
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class Program:
@@ -65,7 +59,7 @@ class Program:
                 # Its children end with it, and Ctrl-C does not reach it twice.
                 start_new_session=True,
                 # One that outlived a killed keeper would hold the ports of the next.
-                preexec_fn=_end_with_the_keeper,
+                preexec_fn=end_with_parent,
             )
         except OSError:
             return False

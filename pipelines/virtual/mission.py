@@ -30,17 +30,11 @@ from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotSt
 from pipelines.session.options import FILES_BPS
 from pipelines.session.probe import Probe
 from pipelines.session.process import wait_ns
-from pipelines.session.session_metrics import ProcessState
+from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import LinkMeanwhile
-from pipelines.session.topology import (
-    FILES,
-    PANEL,
-    TASKS,
-    TELECOMMAND,
-    TELEMETRY,
-    maintenance_stream,
-)
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY, maintenance_stream
+from pipelines.session.topology.topics import FILES, PANEL, TASKS
 from pipelines.virtual.streams import Consumer
 from pipelines.virtual.workers import Scene, Timer
 from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
@@ -114,7 +108,7 @@ class SimulatedTmtc:
         self.links: dict[Segment, LinkValues] = {segment: {} for segment in Segment}
         topology = scene.topology
         self._running = [
-            ProcessState(name=row.name, state="running")
+            ProcessNow(name=row.name, state="running")
             for row in topology.processes
             if topology.runs(row.name)
         ]

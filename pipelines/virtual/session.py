@@ -32,8 +32,10 @@ from pipelines.report.sections import run_since
 from pipelines.report.session_report import build_report
 from pipelines.session.mission_messages import RobotOrder
 from pipelines.session.probe import FLUSH_NS
+from pipelines.session.session_metrics import ProcessNow
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import TELECOMMAND, TELEMETRY, Segment
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
 from pipelines.table import topology_of
 from pipelines.virtual.media import Media
 from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc
@@ -274,7 +276,8 @@ class Simulation:
         before_robot = None if self.robot_commands is None else self.robot_commands.step
         robot_sends, joystick_sends = robot.poll_transmit, joystick.poll_transmit
         feedback, command = ground.handle_haptic, space.handle_haptic
-        next_state, advance = robot.next_event, self._advance
+        next_state = robot.next_event if isinstance(robot, RobotEnd) else lambda: None
+        advance = self._advance
         samples_down, samples_up = self._samples_down, self._samples_up
         poll_wall = robot.poll_wall if isinstance(robot, RobotEnd) and self._mediated else None
         see = self._sight()
@@ -334,9 +337,7 @@ class Simulation:
         report = build_report(
             self.collector,
             seconds=(self._now_ns - self.start_ns) / NS_PER_S,
-            cpu_s=dict.fromkeys(processes, 0.0),
-            restarts=dict.fromkeys(processes, 0),
-            launcher_cpu_s=0.0,
+            processes=[ProcessNow(name=name) for name in processes],
             media=self._media is not None,
         )
         simulation = SimulationReport(

@@ -29,7 +29,7 @@ from pipelines.recording.recorded_session import RecordedSession, SentPacket, Se
 from pipelines.recording.recorder_metrics import ReplayMetrics
 from pipelines.report.model import ReplayedStream, ReplayReport, SessionReport
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.topology import TELECOMMAND, TELEMETRY
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
 from pipelines.virtual.media import Camera, Media
 from pipelines.virtual.session import HapticEnd, Selection, Simulation
 from pipelines.virtual.streams import Consumer, VideoReceiveProcess, VideoSendProcess, VoiceProcess

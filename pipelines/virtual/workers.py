@@ -26,8 +26,9 @@ from pipelines.media.media_metrics import CodingCosts
 from pipelines.report.collector import Collector
 from pipelines.session.launcher import keep_memory
 from pipelines.session.probe import Probe
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
-from pipelines.session.topology import Segment, Topology
+from pipelines.session.topology.table import Topology
 from telepresence.link.gateway import Gateway
 from telepresence.world import WorldState
 

@@ -166,9 +166,11 @@ class AxisTotals:
         self._granted = [energy_uj for _, energy_uj, _ in values]
         return pack_axes(values, self._granted_before, self._sends)
 
-    def read(self, data: bytes) -> list[AxisValue]:
-        """Parse the octets of a sample; the energies are those of its session."""
-        return read_axes(data, self._hears)
+    def split(self, data: bytes) -> tuple[bytes, list[AxisValue]]:
+        """Return the octets of x and y, and the axes; the energies are those of its session."""
+        if len(data) != SAMPLE_OCTETS + self.octets:
+            raise ProtocolError(f"haptic sample: {len(data)} octets with {self.octets} of axes")
+        return data[:SAMPLE_OCTETS], read_axes(data[SAMPLE_OCTETS:], self._hears)
 
     def take(self, values: Sequence[AxisValue]) -> tuple[AxisValue, ...]:
         """Return `values` of the newest sample with the energies of all sessions heard."""

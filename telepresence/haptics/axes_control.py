@@ -17,19 +17,6 @@ from telepresence.haptics.sample import Command, Feedback
 _tuple = tuple.__new__
 
 
-def port_metrics(controller: PortController) -> PortMetrics:
-    """Return the energies of a controller's port (µJ), and the counts of what it did."""
-    return PortMetrics(
-        energy_in_uj=controller.energy_in_uj,
-        energy_out_uj=controller.energy_out_uj,
-        granted_uj=controller.granted_uj,
-        credit_uj=round(controller.credit_uj),
-        least_uj=round(controller.least_observed_uj),
-        passivity_acted=controller.acted,
-        totals_refused=controller.port.refused,
-    )
-
-
 class _Axes:
     """What both sides have in common: the axes behind x and y, and a controller for each."""
 
@@ -67,7 +54,7 @@ class _Axes:
     def report(self) -> dict[str, PortMetrics]:
         """Return the energies of each axis' port, by its name."""
         return {
-            axis.capabilities.name: port_metrics(controller)
+            axis.capabilities.name: controller.report()
             for axis, controller in zip(self.axes, self.controllers, strict=True)
         }
 

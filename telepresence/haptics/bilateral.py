@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.authority import ControlAuthority
 from telepresence.haptics.axes import MoreAxis
-from telepresence.haptics.axes_control import JoystickAxes, RobotAxes, port_metrics
+from telepresence.haptics.axes_control import JoystickAxes, RobotAxes
 from telepresence.haptics.board import Board
 from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
@@ -111,7 +111,7 @@ class _Side:
 
     def report(self) -> PortMetrics:
         """Return the energies of the port (µJ), and the counts of the passivity controller."""
-        return port_metrics(self.controller)
+        return self.controller.report()
 
 
 class JoystickSide(_Side):

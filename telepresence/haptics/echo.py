@@ -22,18 +22,21 @@ class EchoProbe:
 
     While an answer is missing, the age counts from the oldest probe without an answer. Before the
     first answer it is `ANY_AGE_NS`.
+
+    answered: the joystick returns probes; the caller sets it. None is sent before.
     """
 
     def __init__(self) -> None:
+        self.answered = False
         #: Instants of the probes without an answer, by their numbers, oldest first.
         self._sent: dict[int, int] = {}
         self._number = 0
         self._due_ns = 0
         self._trip_ns: int | None = None
 
-    def handle_answer(self, number: int, now_ns: int) -> None:
+    def handle_echo(self, echo: Echo, now_ns: int) -> None:
         """The joystick has returned a probe. An unknown number is ignored."""
-        sent_ns = self._sent.get(number)
+        sent_ns = self._sent.get(echo.number)
         if sent_ns is None:
             return
         self._trip_ns = now_ns - sent_ns
@@ -43,7 +46,7 @@ class EchoProbe:
 
     def poll_transmit(self, now_ns: int) -> Echo | None:
         """Return the probe to send in the place of this sample, or None."""
-        if now_ns < self._due_ns:
+        if not self.answered or now_ns < self._due_ns:
             return None
         self._due_ns = now_ns + _EVERY_NS
         if len(self._sent) < _MOST:
@@ -57,3 +60,24 @@ class EchoProbe:
             return ANY_AGE_NS
         waited_ns = now_ns - next(iter(self._sent.values()), now_ns)
         return waited_ns if waited_ns > self._trip_ns + _EVERY_NS else self._trip_ns
+
+
+class EchoReturn:
+    """The joystick's end, which returns each probe.
+
+    told_age_ms: how old its commands are at the robot, as the robot says; None if unknown.
+    """
+
+    def __init__(self) -> None:
+        self.told_age_ms: int | None = None
+        self._number: int | None = None
+
+    def handle_echo(self, echo: Echo, _now_ns: int) -> None:
+        """The robot's probe has come."""
+        self._number = echo.number
+        self.told_age_ms = None if echo.age_ms == UNKNOWN_AGE_MS else echo.age_ms
+
+    def poll_transmit(self, _now_ns: int) -> Echo | None:
+        """Return the probe to send back in the place of this sample, or None."""
+        number, self._number = self._number, None
+        return None if number is None else Echo(number)

@@ -15,9 +15,9 @@ class SamplesSent:
     left_out: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class SamplesReceived:
-    """Samples that came to one end (`HapticLink`)."""
+    """Samples that came to one end (`HapticLink`), counted in place."""
 
     #: Samples that were the newest.
     received: int = 0

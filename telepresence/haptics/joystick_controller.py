@@ -75,6 +75,7 @@ class JoystickController(PortController):
 
     passive: if False, the controller only observes.
     limit_n: the force (N) that the motors can exert now; set it before a step.
+    rate_n_s, most_rate_n_s: fastest change of the robot's force, and of all; a caller may lower it.
     acted: number of cycles in which the credit bounded the force.
     damping_n_s_m: the present damping.
     spared_j: kept for the damping, whose force turns later than the hand, when the robot lacks all.
@@ -94,6 +95,8 @@ class JoystickController(PortController):
             Port(reserve_j=model.reserve_j, limit_j=model.limit_j) if passive else Port.observing()
         )
         self.limit_n = 12.0
+        self.rate_n_s = model.rate_n_s
+        self.most_rate_n_s = model.rate_n_s + model.damping_rate_n_s
         self.acted = 0
         self.damping_n_s_m = model.damping_n_s_m
         self._last: tuple[float, float] | None = None
@@ -107,14 +110,7 @@ class JoystickController(PortController):
         self._silent_s = 0.0
         #: From 0 to 1: how much the robot has lacked credit of late.
         self._starved = 0.0
-        # Unpacked in one step, because `step` is called a thousand times a second.
-        self._constants = (
-            model.force_scale,
-            model.rate_n_s,
-            model.velocity_s,
-            model.acceleration_m_s2 * _CYCLE_S * _CYCLE_S,
-            model.rate_n_s + model.damping_rate_n_s,
-        )
+        self._margin_m = model.acceleration_m_s2 * _CYCLE_S * _CYCLE_S
 
     @property
     def robot_force_n(self) -> tuple[float, float]:
@@ -130,39 +126,61 @@ class JoystickController(PortController):
         x_m, y_m: position of the handle (m).
         The first step returns no force.
         """
-        scale, rate, velocity_s, margin, most_rate = self._constants
-        dt_s = dt_ns / NS_PER_S
-        port, last = self.port, self._last
+        dt_s, model, last = dt_ns / NS_PER_S, self.model, self._last
         self._last = (x_m, y_m)
         if last is None:
             # The velocity is not known yet, so neither is the energy that a force would cost.
             return 0.0, 0.0
         dx, dy = x_m - last[0], y_m - last[1]
         self._book(self._fx * dx + self._fy * dy)
+        self._hear(feedback, dt_ns)
+        share = dt_s / (dt_s + model.velocity_s)
+        self._vx = vx = self._vx + (dx / dt_s - self._vx) * share
+        self._vy = vy = self._vy + (dy / dt_s - self._vy) * share
+        if self.passive:
+            self._follow_credit(feedback, dt_s)
+        gx, gy, change = self._approached(vx, vy, dt_s)
+        most = min(model.damping_rate_n_s * dt_s, self.most_rate_n_s * dt_s - change)
+        bx, by = self._damped(vx, vy, most)
+        fx, fy = gx + bx, gy + by
+        force = sqrt(fx * fx + fy * fy)
+        if force > self.limit_n:
+            share = self.limit_n / force
+            gx, gy, bx, by = gx * share, gy * share, bx * share, by * share
+        if self.passive:
+            # The distance of the next cycle at the present velocity.
+            ahead = _CYCLE_S / dt_s
+            gx, gy, bx, by = self._payable(gx, gy, bx, by, dx * ahead, dy * ahead)
+            if feedback is not None:
+                self._return_surplus(feedback, dt_s)
+        self._gx, self._gy, self._bx, self._by = gx, gy, bx, by
+        self._fx, self._fy = gx + bx, gy + by
+        return self._fx, self._fy
+
+    def _hear(self, feedback: Feedback | None, dt_ns: int) -> None:
+        """Take the robot's grant and its force; without samples the force decays."""
         if feedback is None:
-            port.handle_silence(dt_ns)
-            self._silent_s += dt_s
+            self.port.handle_silence(dt_ns)
+            self._silent_s += dt_ns / NS_PER_S
         else:
-            port.handle_total(feedback[2], dt_ns)
+            self.port.handle_total(feedback[2], dt_ns)
             self._silent_s = 0.0
         if self._silent_s > self.model.timeout_s or (feedback is not None and feedback[7]):
-            keep = max(0.0, 1.0 - dt_s / self.model.relax_s)
+            keep = max(0.0, 1.0 - dt_ns / NS_PER_S / self.model.relax_s)
             self._goal_x *= keep
             self._goal_y *= keep
         elif feedback is not None:
+            scale = self.model.force_scale
             self._goal_x, self._goal_y = scale * feedback[0], scale * feedback[1]
-        goal_x, goal_y = self._goal_x, self._goal_y
-        goal = sqrt(goal_x * goal_x + goal_y * goal_y)
 
-        share = dt_s / (dt_s + velocity_s)
-        self._vx = vx = self._vx + (dx / dt_s - self._vx) * share
-        self._vy = vy = self._vy + (dy / dt_s - self._vy) * share
-        gx, gy = self._gx, self._gy
-        now = sqrt(gx * gx + gy * gy)
+    def _approached(self, vx: float, vy: float, dt_s: float) -> tuple[float, float, float]:
+        """Return the robot's force (N, N), nearer to what the credit can fade; and its change."""
+        rate, gx, gy = self.rate_n_s, self._gx, self._gy
+        goal_x, goal_y = self._goal_x, self._goal_y
         if self.passive:
-            self._follow_credit(feedback, dt_s)
+            goal, now = sqrt(goal_x * goal_x + goal_y * goal_y), sqrt(gx * gx + gy * gy)
             outward = max(0.0, (gx * vx + gy * vy) / now) if now > 0.0 else 0.0
-            most = self._payable_n(min(port.credit_j, self.most_j) + _ROUNDING_J, outward)
+            most = self._payable_n(min(self.port.credit_j, self.most_j) + _ROUNDING_J, outward)
             if most < goal:
                 share, goal = most / goal, most
                 goal_x *= share
@@ -183,39 +201,30 @@ class JoystickController(PortController):
         lacking_x, lacking_y = self._goal_x - gx, self._goal_y - gy
         if lacking_x * lacking_x + lacking_y * lacking_y < _RETURNED_N * _RETURNED_N:
             self._regaining = False
-        most = min(self.model.damping_rate_n_s * dt_s, most_rate * dt_s - change)
-        bx, by = self._damped(vx, vy, most)
-        fx, fy = gx + bx, gy + by
-        force = sqrt(fx * fx + fy * fy)
-        if force > self.limit_n:
-            share = self.limit_n / force
-            gx, gy, bx, by = gx * share, gy * share, bx * share, by * share
+        return gx, gy, change
 
-        if self.passive:
-            # The distance of the next cycle at the present velocity.
-            ahead = _CYCLE_S / dt_s
-            dx *= ahead
-            dy *= ahead
-            left_j = port.credit_j + _ROUNDING_J
-            need_j = bx * dx + by * dy + sqrt(bx * bx + by * by) * margin
-            if need_j > 0.0:
-                if need_j > left_j:
-                    share = left_j / need_j if left_j > 0.0 else 0.0
-                    bx, by, need_j = bx * share, by * share, need_j * share
-                left_j -= need_j
-            left_j = min(left_j, self.most_j)
-            need_j = gx * dx + gy * dy + sqrt(gx * gx + gy * gy) * margin
+    def _payable(
+        self, gx: float, gy: float, bx: float, by: float, dx: float, dy: float
+    ) -> tuple[float, float, float, float]:
+        """Cut the robot's force, and before it the damping, to what the next cycle can pay for.
+
+        dx, dy: the distance of the next cycle; the handle may accelerate beyond it.
+        """
+        left_j, margin = self.port.credit_j + _ROUNDING_J, self._margin_m
+        need_j = bx * dx + by * dy + sqrt(bx * bx + by * by) * margin
+        if need_j > 0.0:
             if need_j > left_j:
                 share = left_j / need_j if left_j > 0.0 else 0.0
-                gx *= share
-                gy *= share
-                self.acted += 1
-                self._regaining = True
-            if feedback is not None:
-                self._return_surplus(feedback, dt_s)
-        self._gx, self._gy, self._bx, self._by = gx, gy, bx, by
-        self._fx, self._fy = gx + bx, gy + by
-        return self._fx, self._fy
+                bx, by, need_j = bx * share, by * share, need_j * share
+            left_j -= need_j
+        left_j = min(left_j, self.most_j)
+        need_j = gx * dx + gy * dy + sqrt(gx * gx + gy * gy) * margin
+        if need_j > left_j:
+            share = left_j / need_j if left_j > 0.0 else 0.0
+            gx, gy = gx * share, gy * share
+            self.acted += 1
+            self._regaining = True
+        return gx, gy, bx, by
 
     def _book(self, energy_j: float) -> None:
         """Count the energy that this controller's force gave to the hand, or took if negative."""
@@ -243,7 +252,7 @@ class JoystickController(PortController):
 
     def _fading(self, outward_m_s: float) -> tuple[float, float]:
         """Return the next cycle's distance (m), and the way of a fade for each newton (m/N)."""
-        cycle_m = outward_m_s * _CYCLE_S + self._constants[3]
+        cycle_m = outward_m_s * _CYCLE_S + self._margin_m
         return cycle_m, 1.0 / self.model.fade_n_m + outward_m_s / self.model.rate_n_s
 
     def _follow_credit(self, feedback: Feedback | None, dt_s: float) -> None:

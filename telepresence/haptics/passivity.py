@@ -13,6 +13,8 @@ hour of free motion would pay for a minute of instability.
 
 from math import inf
 
+from telepresence.haptics.haptic_metrics import PortMetrics
+
 _UJ_PER_J = 1e6
 _J_PER_UJ = 1e-6
 _NS_PER_S = 1e9
@@ -130,32 +132,25 @@ class Port:
 
 
 class PortController:
-    """Base of both controllers: a port, and its energies in µJ."""
+    """Base of both controllers. acted: how often the credit bounded what they do."""
 
     port: Port
     acted: int
-
-    @property
-    def energy_in_uj(self) -> int:
-        """Energy that entered the network here."""
-        return int(self.port.in_j * _UJ_PER_J)
-
-    @property
-    def energy_out_uj(self) -> int:
-        """Energy that left the network here."""
-        return int(self.port.out_j * _UJ_PER_J)
-
-    @property
-    def granted_uj(self) -> int:
-        """Energy granted to the peer: the total in the samples."""
-        return self.port.granted_uj
 
     @property
     def credit_uj(self) -> float:
         """Energy that may still leave here. Below 0 the port gave out more than was granted."""
         return self.port.credit_j * _UJ_PER_J
 
-    @property
-    def least_observed_uj(self) -> float:
-        """The observer's lowest value so far."""
-        return self.port.least_j * _UJ_PER_J
+    def report(self) -> PortMetrics:
+        """Return the energies of the port (µJ), and the counts of what this controller did."""
+        port = self.port
+        return PortMetrics(
+            energy_in_uj=int(port.in_j * _UJ_PER_J),
+            energy_out_uj=int(port.out_j * _UJ_PER_J),
+            granted_uj=port.granted_uj,
+            credit_uj=round(self.credit_uj),
+            least_uj=round(port.least_j * _UJ_PER_J),
+            passivity_acted=self.acted,
+            totals_refused=port.refused,
+        )

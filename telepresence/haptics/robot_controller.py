@@ -99,17 +99,8 @@ class RobotController(PortController):
         #: Follows the received position with the time constant `_REST_S`.
         self._slow_x, self._slow_y = x_m, y_m
         self._silent_s = 0.0
-        # Unpacked in one step, because `step` is called a thousand times a second.
-        self._constants = (
-            model.stiffness_n_m,
-            model.damping_n_s_m,
-            model.force_limit_n,
-            model.follow_s,
-            model.spend_s,
-            model.acceleration_m_s2,
-            model.half_width_m,
-            model.half_height_m,
-        )
+        #: By the newest command, if there is one, the hand rests.
+        self._rests = False
 
     def release(self, x_m: float, y_m: float) -> None:
         """Another mode drives the robot: move the reference to the tip, and lose the energy."""
@@ -135,19 +126,56 @@ class RobotController(PortController):
         x_m, y_m, vx_m_s, vy_m_s: position and velocity of the tip.
         touching: the tip touches something.
         """
-        stiffness, damping, limit, follow_s, spend_s, acceleration, width, height = self._constants
-        speed = self.speed_m_s
-        dt_s = dt_ns / NS_PER_S
-        port = self.port
-        reference_x, reference_y = self.reference_x_m, self.reference_y_m
-        rests = False
+        port, model, dt_s = self.port, self.model, dt_ns / NS_PER_S
         if command is None:
             port.handle_silence(dt_ns)
             self._silent_s += dt_s
         else:
             port.handle_total(command[2], dt_ns)
             self._silent_s = 0.0
-        if command is None and self._silent_s <= self.model.timeout_s and not self.letting_go:
+        vx, vy = self._wanted(command, x_m, y_m, dt_s)
+        most = port.credit_j
+        if self._rests and not touching:
+            most *= dt_s / (dt_s + model.spend_s)
+        # The force is linear in the step d of the reference: f = still + gain * d.
+        dx, dy = vx * dt_s, vy * dt_s
+        gain = model.stiffness_n_m + model.damping_n_s_m / dt_s
+        reference_x, reference_y = self.reference_x_m, self.reference_y_m
+        still_x = model.stiffness_n_m * (reference_x - x_m) - model.damping_n_s_m * vx_m_s
+        still_y = model.stiffness_n_m * (reference_y - y_m) - model.damping_n_s_m * vy_m_s
+        fx, fy = still_x + gain * dx, still_y + gain * dy
+        cost = fx * dx + fy * dy
+        if self.passive and cost > most and cost > 0.0:
+            # A tip that only goes slower lacks nothing.
+            self.acted += cost > port.credit_j
+            dx, dy = self._cut(still_x, still_y, dx, dy, gain, most)
+            fx, fy = still_x + gain * dx, still_y + gain * dy
+            vx, vy = dx / dt_s, dy / dt_s
+        limit = model.force_limit_n
+        if not (-limit <= fx <= limit and -limit <= fy <= limit):
+            fx, fy = _within(fx, limit), _within(fy, limit)
+            if self.passive and fx * dx + fy * dy > port.credit_j:
+                # The reference stays, so use the force of a resting reference.
+                dx = dy = vx = vy = 0.0
+                fx, fy = _within(still_x, limit), _within(still_y, limit)
+        port.handle_flow(fx * dx + fy * dy)
+        self._vx, self._vy = vx, vy
+        self.reference_x_m, self.reference_y_m = reference_x + dx, reference_y + dy
+        surplus_j = port.credit_j - model.spare_j
+        if surplus_j > 0.0 and self.passive:
+            if command is not None and command[6]:
+                port.return_credit(surplus_j * dt_s / (dt_s + model.return_s))
+            if touching:
+                port.discard_credit(surplus_j * dt_s / (dt_s + model.discard_s))
+        return self._slowed(fx, fy, vx_m_s, vy_m_s)
+
+    def _wanted(
+        self, command: Command | None, x_m: float, y_m: float, dt_s: float
+    ) -> tuple[float, float]:
+        """Return the velocity (m/s) that the reference is to have, within its limits."""
+        model, reference_x, reference_y = self.model, self.reference_x_m, self.reference_y_m
+        self._rests = False
+        if command is None and self._silent_s <= model.timeout_s and not self.letting_go:
             self.holding = True
             vx = vy = 0.0
         elif (
@@ -158,73 +186,46 @@ class RobotController(PortController):
             or command[7]
         ):
             self.holding = True
-            share = 1.0 / (self.model.let_go_s if self.letting_go else self.model.relax_s)
+            share = 1.0 / (model.let_go_s if self.letting_go else model.relax_s)
             vx, vy = (x_m - reference_x) * share, (y_m - reference_y) * share
         else:
             self.holding = False
             to_x, to_y = command[0], command[1]
+            width, height = model.half_width_m, model.half_height_m
             to_x = width if to_x > width else -width if to_x < -width else to_x
             to_y = height if to_y > height else -height if to_y < -height else to_y
             moved_x, moved_y = to_x - self._slow_x, to_y - self._slow_y
             share = dt_s / (dt_s + _REST_S)
             self._slow_x += moved_x * share
             self._slow_y += moved_y * share
-            rests = moved_x * moved_x + moved_y * moved_y < _REST_M * _REST_M
-            share = 1.0 / (follow_s + dt_s)
+            self._rests = moved_x * moved_x + moved_y * moved_y < _REST_M * _REST_M
+            share = 1.0 / (model.follow_s + dt_s)
             vx, vy = (to_x - reference_x) * share, (to_y - reference_y) * share
-        size = vx * vx + vy * vy
+        size, speed = vx * vx + vy * vy, self.speed_m_s
         if size > speed * speed:
             share = speed / sqrt(size)
             vx *= share
             vy *= share
         change_x, change_y = vx - self._vx, vy - self._vy
-        size, most = change_x * change_x + change_y * change_y, acceleration * dt_s
+        size, most = change_x * change_x + change_y * change_y, model.acceleration_m_s2 * dt_s
         if size > most * most:
             share = most / sqrt(size)
-            vx = self._vx + change_x * share
-            vy = self._vy + change_y * share
+            return self._vx + change_x * share, self._vy + change_y * share
+        return vx, vy
 
-        # The force is linear in the step d of the reference: f = still + gain * d.
-        dx, dy = vx * dt_s, vy * dt_s
-        gain = stiffness + damping / dt_s
-        still_x = stiffness * (reference_x - x_m) - damping * vx_m_s
-        still_y = stiffness * (reference_y - y_m) - damping * vy_m_s
-        fx, fy = still_x + gain * dx, still_y + gain * dy
-        cost = fx * dx + fy * dy
-        most = port.credit_j
-        if rests and not touching:
-            most *= dt_s / (dt_s + spend_s)
-        if self.passive and cost > most and cost > 0.0:
-            # A tip that only goes slower lacks nothing.
-            self.acted += cost > port.credit_j
-            dx, dy = self._cut(still_x, still_y, dx, dy, gain, most)
-            fx, fy = still_x + gain * dx, still_y + gain * dy
-            vx, vy = dx / dt_s, dy / dt_s
-        if not (-limit <= fx <= limit and -limit <= fy <= limit):
-            fx, fy = _within(fx, limit), _within(fy, limit)
-            if self.passive and fx * dx + fy * dy > port.credit_j:
-                # The reference stays, so use the force of a resting reference.
-                dx = dy = vx = vy = 0.0
-                fx, fy = _within(still_x, limit), _within(still_y, limit)
-        port.handle_flow(fx * dx + fy * dy)
-        tip_m_s = sqrt(vx_m_s * vx_m_s + vy_m_s * vy_m_s)
+    def _slowed(self, fx: float, fy: float, vx_m_s: float, vy_m_s: float) -> tuple[float, float]:
+        """Return the force on a tip of this velocity: it brakes a tip that goes too fast.
+
+        The rest of the spring's force is lost as in a brake; the port pays for it.
+        """
+        speed, tip_m_s = self.speed_m_s, sqrt(vx_m_s * vx_m_s + vy_m_s * vy_m_s)
         slowing_m_s = _SLOWING_M_S if speed > _SLOWING_M_S else speed
         if tip_m_s > speed - slowing_m_s:
-            # The rest of the spring's force is lost as in a brake; the port pays for it.
             along = (fx * vx_m_s + fy * vy_m_s) / tip_m_s
             slope = _SLOWING_N / max(slowing_m_s, _LEAST_SLOWING_M_S)
             over = along - slope * (speed - tip_m_s)
             if over > 0.0:
-                fx -= over * vx_m_s / tip_m_s
-                fy -= over * vy_m_s / tip_m_s
-        self._vx, self._vy = vx, vy
-        self.reference_x_m, self.reference_y_m = reference_x + dx, reference_y + dy
-        surplus_j = port.credit_j - self.model.spare_j
-        if surplus_j > 0.0 and self.passive:
-            if command is not None and command[6]:
-                port.return_credit(surplus_j * dt_s / (dt_s + self.model.return_s))
-            if touching:
-                port.discard_credit(surplus_j * dt_s / (dt_s + self.model.discard_s))
+                return fx - over * vx_m_s / tip_m_s, fy - over * vy_m_s / tip_m_s
         return fx, fy
 
     def _cut(

@@ -8,8 +8,10 @@ import pytest
 from janus_room import free_port
 from positions import ROOT
 from programs import needs
-from running_session import RunningSession, end_with_the_tests, eventually
+from running_session import RunningSession, eventually
 from yamcs import Yamcs, milliseconds, new_instance, value_of
+
+from pipelines.session.command_process import end_with_parent
 
 PACKAGES = ROOT / ".ci" / "web" / "node_modules"
 NEEDED = ("openmct/dist/openmct.js", "http-server/bin/http-server")
@@ -38,7 +40,7 @@ def served(tmp_path):
         with (tmp_path / "http.txt").open("w") as log:
             started.append(
                 subprocess.Popen(
-                    command, cwd=site, stdout=log, stderr=log, preexec_fn=end_with_the_tests
+                    command, cwd=site, stdout=log, stderr=log, preexec_fn=end_with_parent
                 )
             )
         eventually(lambda: _answers(own), "the sample's server")

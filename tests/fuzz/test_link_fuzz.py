@@ -6,6 +6,7 @@ more than necessary, and after any garbage it understands a healthy peer again.
 
 import struct
 from binascii import crc_hqx
+from dataclasses import replace
 from random import Random
 
 import pytest
@@ -65,9 +66,10 @@ def mutated(frame, random):
 
 
 @pytest.mark.rule("7")
+@pytest.mark.parametrize("repair", ["off", "auto"])
 @pytest.mark.parametrize("profile", [UPLINK, DOWNLINK], ids=lambda profile: profile.name)
-def test_mutated_frames(profile):
-    random = Random(first_seed(20_260_101))
+def test_mutated_frames(profile, repair):
+    random, profile = Random(first_seed(20_260_101)), replace(profile, repair=repair)
     print(f"seed {first_seed(20_260_101)}")
     sender, receiver = LinkSender(profile, FLOWS), LinkReceiver(profile, FLOWS)
     handled = mutations = events = 0

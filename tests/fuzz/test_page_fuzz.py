@@ -21,8 +21,8 @@ from pipelines.seats.open_page import MOST_UNITS
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
 from pipelines.session.access import Role
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import PageInput
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -141,9 +141,11 @@ class Pages(RuleBasedStateMachine):
             self.number += 1
 
     @rule(behind=st.integers(1, 9))
-    def decoded(self, behind):
-        for stream in self.seat.media.wanted_pictures():
-            self.seat.media.handle_decoded(stream, b"key", self.number - behind)
+    def added(self, behind):
+        unit = CodedUnit(data=b"key", key=True, added=True, parameter_sets=b"s")
+        stamp = CaptureStamp(self.now_ns, max(0, self.number - behind), "x")
+        for stream in self.seat.media.poll_asks(self.now_ns):
+            self.seat.media.handle_unit(stream, unit, stamp, self.now_ns)
 
     @precondition(lambda self: self.roles)
     @rule(data=st.data(), most=st.integers(1, 50))

@@ -19,6 +19,8 @@ import cv2
 import numpy as np
 import running_session
 
+from pipelines.session.command_process import end_with_parent
+
 #: Protects against a hang. A browser whose pictures are drawn by the processor needs more of it.
 TIMEOUT_S = 150.0
 PROGRAMS = ("chromium", "chromedriver")
@@ -90,7 +92,7 @@ class Browser:
             log_output=subprocess.DEVNULL,
             popen_kw={
                 "start_new_session": True,
-                "preexec_fn": running_session.end_with_the_tests,
+                "preexec_fn": end_with_parent,
             },
         )
         self._errors = []

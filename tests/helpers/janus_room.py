@@ -17,12 +17,12 @@ from pathlib import Path
 import aiohttp
 import common
 from aiohttp import web
-from running_session import end_with_the_tests
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.h26x import H264Decoder
 from pipelines.partner.media import PictureCame
 from pipelines.partner.peer import RtcPeer
+from pipelines.session.command_process import end_with_parent
 
 ROOM = 15
 CLOCK = MonotonicClock()
@@ -78,7 +78,7 @@ class Janus:
             stdout=log,
             stderr=log,
             start_new_session=True,
-            preexec_fn=end_with_the_tests,
+            preexec_fn=end_with_parent,
         )
         until_s = time.monotonic() + 20
         while not self._listens():

@@ -160,14 +160,14 @@ class Ends:
                 self.release_at = -1
                 if self.envelope.handle_stop_released(now_ns) == "":
                     self.note("the emergency stop's end")
-            heard = self.ground.link.received
+            heard = self.ground.link.counts.received
             while self.down and self.down[0][0] <= now_ms:
                 _, datagram, self.given_ms = self.down.popleft()
                 self.ground.handle_datagram(datagram, now_ns)
                 while self.presses and self.presses[0] <= self.given_ms:
                     self.presses.popleft()
                     self.press_came_ms = now_ms
-            if self.ground.link.received != heard:
+            if self.ground.link.counts.received != heard:
                 if now_ms - self.heard_ms > GAP_MS:
                     self.note("commands were missing")
                 self.heard_ms = now_ms

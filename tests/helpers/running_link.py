@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 from common import WORKER, eventually
-from running_session import end_with_the_tests
 
+from pipelines.session.command_process import end_with_parent
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
@@ -80,7 +80,7 @@ class RunningLink:
             stdin=subprocess.DEVNULL,
             env={**os.environ, "TMPDIR": str(directory)},
             start_new_session=True,
-            preexec_fn=end_with_the_tests,
+            preexec_fn=end_with_parent,
         )
 
     def __enter__(self):

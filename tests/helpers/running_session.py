@@ -1,7 +1,6 @@
 """A whole session as a user runs it: the real command, in its own process."""
 
 import contextlib
-import ctypes
 import json
 import os
 import re
@@ -18,6 +17,7 @@ from common import TIMEOUT_S, WORKER, eventually, free_port
 
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import shared_memory
+from pipelines.session.command_process import end_with_parent
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import PORTS, RtcLeg
 from pipelines.table import topology_of
@@ -34,15 +34,6 @@ sys.exit(main())
 SESSION_COMMAND = (sys.executable, "-c", _SESSION)
 _LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
 _LIVE_HAPTIC = re.compile(r"(haptic_\w+) (\d+) received")
-
-
-_LIBC = ctypes.CDLL(None)
-_PR_SET_PDEATHSIG = 1
-
-
-def end_with_the_tests():
-    """In a new process: end when the process of the tests ends, also when that is killed."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def free_base_port():
@@ -147,7 +138,7 @@ class RunningSession:
             stdin=subprocess.DEVNULL,
             env=self.environment,
             start_new_session=True,
-            preexec_fn=end_with_the_tests,
+            preexec_fn=end_with_parent,
         )
         self.session = f"{self.setup.name}-{self.process.pid}"
         self.seen_pids = set()

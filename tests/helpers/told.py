@@ -1,6 +1,7 @@
 """Figures as a process reports them, for tests of their receivers."""
 
 from pipelines.session.probe import Message, Series
+from pipelines.session.session_metrics import ProcessNow
 from telepresence.link.link_metrics import GatewayMetrics, SenderMetrics
 
 
@@ -25,3 +26,8 @@ def gateway(*, transmit=None, receive=None, radio=None, supervision=None):
     """The link of one start of a gateway, of which only these parts are known."""
     transmit = SenderMetrics() if transmit is None else transmit
     return GatewayMetrics(transmit=transmit, receive=receive, radio=radio, supervision=supervision)
+
+
+def processes(names, cpu_s=0.0, **changes):
+    """Processes as their launcher knows them. changes: what differs, by name."""
+    return [ProcessNow(name=name, **{"cpu_s": cpu_s, **changes.get(name, {})}) for name in names]

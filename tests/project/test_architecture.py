@@ -68,7 +68,7 @@ SHELLS = {
         "recording_file replay_setup"
     ),
     "pipelines/recording/export": "films lerobot table_files",
-    "pipelines/report": "charts live process_metrics report_file seat_feed",
+    "pipelines/report": "charts live process_metrics report_file session_feed",
     "pipelines/seats": "process_page seat_sockets seat_topics upkeep_watch",
     "pipelines/session": (
         "command_process datagrams kept_files launcher machine_checks option_rows options "
@@ -150,9 +150,7 @@ LIBRARIES = {
     "sgp4": "telepresence/link/radio/orbit.py",
     "spacepackets": "telepresence/files/pdus.py telepresence/tmtc/pus/packets.py",
     "struct": "kontur_av/sources/recording.py",
-    "sys": (
-        "kontur_av/codecs/libopus.py kontur_av/lazy.py kontur_av/parts.py pipelines/report/live.py"
-    ),
+    "sys": ("kontur_av/codecs/libopus.py kontur_av/lazy.py kontur_av/parts.py"),
     "tarfile": "telepresence/upkeep/inbox.py",
     "threading": "kontur_av/codecs/colours.py",
     "warnings": "kontur_av/codecs/libopus.py",

@@ -30,7 +30,8 @@ ALLOWED = {
     # For the time of an import whose warnings are not ours.
     "kontur_av/codecs/libopus.py": {"_import_with"},
     "kontur_av/streams/encoding_thread.py": {"switch_threads_often"},
-    "pipelines/session/command_process.py": {"handled"},
+    # `end_with_parent`: in a new process, before it begins.
+    "pipelines/session/command_process.py": {"handled", "end_with_parent"},
     # For the time of one call of a user's driver, in a command of its own.
     "pipelines/hand/timed_calls.py": {"TimedCalls._timed.call"},
     "pipelines/session/machine_checks.py": {"take_descriptors"},
@@ -52,11 +53,9 @@ ALLOWED = {
         "Collections.handle_flush",
     },
     "pipelines/virtual/workers.py": {"Worker.start", "_work"},
-    # In a program of its own, before it begins.
-    "pipelines/upkeep/requests.py": {"_end_with_the_keeper"},
 }
 #: Functions among them that others call by these names.
-CALLED = {"switch_threads_often", "load_libraries", "keep_memory", "become"}
+CALLED = {"switch_threads_often", "load_libraries", "keep_memory", "become", "end_with_parent"}
 CALLED |= {"stopped_by_signals", "take_realtime"}
 CONSTRUCTORS = {"__init__", "__new__", "__post_init__"}
 

@@ -36,6 +36,8 @@ def test_later_output_follows_a_report_on_stdout(tmp_path):
     ("commands", "absent"),
     [
         ("select record tc task authority trainer stop info", "aiortc av opuslib"),
+        # They parse RTCP by a module of aiortc, without its ICE, DTLS and SCTP.
+        ("stream send receive", "aiortc dns pylibsrtp"),
         # They must outlive broken software.
         (
             "apploader versions file keys authority stop",

@@ -10,14 +10,17 @@ import pytest
 #: Runs a launcher with the processes `good` and `bad`, and prints what it has counted.
 PROGRAM = """
 import json, os, signal, socket, sys, time
+import msgspec
 from kontur_av.clock import MonotonicClock
 from kontur_av.returned import PartError
 from pipelines.session.launcher import Launcher
 from pipelines.session.page_sockets import PageListener
-from pipelines.session.session_switch import Order
+from pipelines.session.session_metrics import SessionNews
+from pipelines.session.session_switch import Activity, Order
 from pipelines.report.collector import Collector
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import ProcessRow, Segment, Stage
+from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.rows import ProcessRow, Stage
 from pipelines.table import topology_of
 
 def good(context, until=lambda: False):
@@ -69,9 +72,9 @@ def closes_the_terminal(context):
 
 def commands(context):
     assert set(context.pages) == {"bad"} and context.pages["bad"].socket.fileno() > 0
-    for order, state in ((Order.STOP, b"stopped"), (Order.START, b"running")):
+    for order, state in ((Order.STOP, "stopped"), (Order.START, "running")):
         context.order(order, context.clock.now_ns())
-        good(context, lambda: context.receive_metrics() == state)
+        good(context, lambda: (news := context.receive_news()) and news.state == state)
     os.kill(os.getppid(), signal.SIGTERM)
     good(context)
 
@@ -83,9 +86,12 @@ class Feed:
         self.asked += 1
         if fill > 1 and self.asked == 3:
             os.kill(os.getpid(), signal.SIGTERM)
-        return {"bad": launcher.switch.activity.value.encode() + b"." * (fill - 1)}
+        state = "stopped" if launcher.switch.activity is Activity.STOPPED else "running"
+        news = msgspec.json.encode(SessionNews(state=state, problems=["." * (fill - 1)]))
+        pids = {child.row.name: child.pid for child in launcher.children}
+        return {pids["bad"]: news}
 
-    def handle_sent(self, process):
+    def handle_sent(self, pid):
         self.sent += 1
 
 class Listener(Collector):

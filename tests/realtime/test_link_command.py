@@ -19,9 +19,9 @@ from running_link import (
 
 from pipelines.link.key_files import make_key, trust
 from pipelines.link.relay import PathRelay
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.link.path.network import NetworkConditions, NetworkPath
 

@@ -20,8 +20,9 @@ from pipelines.media.process_display import run_display
 from pipelines.media.process_send import run_video_send
 from pipelines.session.process import Context
 from pipelines.session.session_metrics import ShownRow
+from pipelines.session.setup.segments import Direction
 from pipelines.session.topic_ends import TopicWriter
-from pipelines.session.topology import Direction, backlog_topic
+from pipelines.session.topology.rows import backlog_topic
 from pipelines.table import topology_of
 from telepresence.link.gateway import Backlog
 

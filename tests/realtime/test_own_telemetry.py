@@ -9,7 +9,7 @@ from running_session import eventually
 from pipelines.mission.tmtc_messages import TMTC_TOPICS, CommandUpdate, Reported
 from pipelines.recording.recorded_messages import RecordedEvent, unpack
 from pipelines.recording.scan import FoundMessage, Scan
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_telemetry.py"
 

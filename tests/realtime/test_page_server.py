@@ -9,6 +9,7 @@ from urllib.parse import urlsplit
 import aiohttp
 import numpy as np
 import pytest
+from common import psnr_db
 from mcap.reader import make_reader
 from page_client import Visitor, decoded, hand, unit_of, visit
 from running_session import RunningSession, assert_sound, eventually
@@ -216,8 +217,9 @@ def test_who_joins_in_the_middle_has_the_same_picture(session):
         # One that was stalled is sent a replay.
         both = {*range(last - 30, last + 1)} & one.keys() & other.keys()
         assert both
+        # The first one has the stream itself, the late one a key picture of the receiver.
         for sequence in both:
-            np.testing.assert_array_equal(one[sequence], other[sequence])
+            assert psnr_db(one[sequence], other[sequence]) > 38
 
     visit(session.pages()["space"], deeds)
 

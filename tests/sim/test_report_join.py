@@ -5,7 +5,7 @@ import array
 import msgspec
 import numpy as np
 import pytest
-from told import message
+from told import message, processes
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
@@ -16,9 +16,9 @@ from pipelines.report.model import EndTrace, SessionReport, from_json, to_json
 from pipelines.report.session_report import build_report
 from pipelines.session.probe import Message, Series
 from pipelines.session.session_metrics import INSTANTS, ClockRow
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup, setup_from_text
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from pipelines.virtual.simulate import simulate
 
@@ -63,9 +63,7 @@ class Twice(Collector):
         report = build_report(
             end,
             seconds=seconds,
-            cpu_s=dict.fromkeys(names, 0.0),
-            restarts=dict.fromkeys(names, 0),
-            launcher_cpu_s=0.0,
+            processes=processes(names),
         )
         trace = EndTrace(
             setup=setup_toml(self.setup),

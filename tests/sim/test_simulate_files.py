@@ -6,7 +6,7 @@ from random import Random
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.topology import FILES
+from pipelines.session.topology.topics import FILES
 from pipelines.virtual.session import Simulation
 from pipelines.virtual.workers import Workers
 from telepresence.files.entity import DONE, RUNNING, SUSPENDED

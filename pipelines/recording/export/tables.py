@@ -24,7 +24,7 @@ from pipelines.recording.export.columns import (
 )
 from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.recorded_messages import RecordedPacket, unpack
-from pipelines.session.topology import TELECOMMAND, TELEMETRY
+from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
 from telepresence.tmtc.k2aci import Numbered, StartTask, TaskFinished, parse_body
 from telepresence.tmtc.pus.node import K2ACI_SERVICE
 from telepresence.tmtc.pus.packets import parse_packet

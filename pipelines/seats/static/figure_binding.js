@@ -12,6 +12,19 @@
 /** What stands where there is no value. */
 export const NOTHING = "–";
 
+/**
+ * The numbers whose names begin so, by the rest of their names.
+ * @param {Readonly<Record<string, Figure>>} figures @param {string} prefix
+ */
+export function countsBelow(figures, prefix) {
+  /** @type {Record<string, number>} */
+  const counts = {};
+  for (const [name, value] of Object.entries(figures)) {
+    if (typeof value === "number" && name.startsWith(prefix)) counts[name.slice(prefix.length)] = value;
+  }
+  return counts;
+}
+
 /** A figure as text. @param {Figure | undefined} value @param {number} [decimals] */
 function figureText(value, decimals) {
   if (value === null || value === undefined) return NOTHING;

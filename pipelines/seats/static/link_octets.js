@@ -5,13 +5,14 @@
  * @import { Seat } from "./seat.js"
  */
 import { make, setText } from "./dom.js";
+import { countsBelow } from "./figure_binding.js";
 import { LAYERS, OctetHistory } from "./octet_history.js";
 import { paint } from "./palette.js";
 import { SharpCanvas } from "./sharp_canvas.js";
 import { rateText } from "./wording.js";
 
-/** Readings that are shown: a minute, two a second. */
-const COLUMNS = 120;
+/** Readings that are shown: a minute, one a second. */
+const COLUMNS = 60;
 const STEPS_BPS = [64e3, 128e3, 256e3, 512e3, 1e6, 2e6, 4e6, 8e6, 16e6, 32e6, 64e6, 128e6];
 
 /** One direction: its chart, and its column of the table. */
@@ -94,11 +95,10 @@ class LinkOctets extends HTMLElement {
     const axis = make("p", { class: "time-axis" }, make("span", {}, "60 s ago"), make("span", {}, "now"));
     const charts = make("div", { class: "octets-charts" }, ...directions.map(({ chart }) => chart), axis);
     this.append(charts, legend(directions));
-    connection.on("figures", ({ at_us, link, figures }) => {
+    connection.on("figures", ({ at_us, figures }) => {
       for (const direction of directions) {
-        const counts = link[direction.name];
-        const capacity = figures[`link.${direction.name}.capacity_bps`];
-        if (counts !== undefined) direction.update(at_us, counts.octets, capacity);
+        const link = `link.${direction.name}`;
+        direction.update(at_us, countsBelow(figures, `${link}.octets.`), figures[`${link}.capacity_bps`]);
       }
     });
   }

@@ -3,9 +3,10 @@
  * lost.
  *
  * @import { Seat } from "./seat.js"
- * @import { LinkCounts } from "./texts.js"
+ * @import { Figure } from "./texts.js"
  */
 import { make, setAttribute, setText } from "./dom.js";
+import { countsBelow } from "./figure_binding.js";
 import { countText } from "./wording.js";
 
 const DIRECTIONS = ["uplink", "downlink"];
@@ -60,20 +61,23 @@ class LinkTable extends HTMLElement {
       late.append(cell);
     }
     this.append(make("table", {}, make("thead", {}, head, units), body, make("tbody", {}, ...rows, late)));
-    connection.on("figures", ({ link }) => this.#show(link));
+    connection.on("figures", ({ figures }) => this.#show(figures));
   }
 
-  /** @param {Readonly<Record<string, LinkCounts>>} link By direction. */
-  #show(link) {
-    for (const [direction, { drops, lost, slips }] of Object.entries(link)) {
-      const cells = this.#counts.get(direction) ?? [];
-      const dropped = Object.entries(drops).filter(([, number]) => number > 0);
+  /** @param {Readonly<Record<string, Figure>>} figures */
+  #show(figures) {
+    for (const [direction, cells] of this.#counts) {
+      const link = `link.${direction}`;
+      const dropped = Object.entries(countsBelow(figures, `${link}.queue.`)).filter(
+        ([name, number]) => name.includes(".drops.") && number > 0,
+      );
       const sum = dropped.reduce((total, [, number]) => total + number, 0);
-      [sum, lost, slips].forEach((number, index) => {
+      const counts = [sum, Number(figures[`${link}.frames_lost`]), Number(figures[`${link}.slips`])];
+      counts.forEach((number, index) => {
         setText(cells[index], countText(number));
         setAttribute(cells[index], "data-some", String(number > 0));
       });
-      const title = dropped.map(([level, number]) => `${level}: ${number}`).join(", ");
+      const title = dropped.map(([name, number]) => `${name.replace(".drops.", ", ")}: ${number}`).join("; ");
       setAttribute(cells[0], "title", title);
     }
   }

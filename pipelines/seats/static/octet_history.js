@@ -18,7 +18,7 @@ export const LAYERS = [
 /** In no layer: what fills the frames, and is larger than all else. */
 const IDLE = ["idle", "repair"];
 /** A longer step between two readings is a gap: nobody asked for figures meanwhile. */
-const GAP_US = 1_600_000;
+const GAP_US = 3_200_000;
 
 export class OctetHistory {
   /**

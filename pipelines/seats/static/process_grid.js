@@ -35,7 +35,7 @@ class ProcessGrid extends HTMLElement {
     for (const process of processes) {
       cpu += process.cpu ?? 0;
       restarts += process.restarts;
-      if (!process.running || process.trouble !== "") dead += 1;
+      if (process.state !== "running" || process.trouble !== "") dead += 1;
       this.#show(process, stopped);
     }
     const ill = dead > 0 ? `, ${dead} not well` : "";
@@ -46,14 +46,15 @@ class ProcessGrid extends HTMLElement {
   }
 
   /** @param {ProcessText} process @param {boolean} stopped */
-  #show({ name, cpu, restarts, running, error, trouble }, stopped) {
+  #show({ name, cpu, restarts, state, error, trouble }, stopped) {
     const row = this.#rows.get(name);
     if (row === undefined) return;
     setText(row.cpu, cpu === null ? "–" : `${(100 * cpu).toFixed(1)} %`);
     row.meter.value = Math.min(1, cpu ?? 0);
+    const running = state === "running";
     const ill = stopped && !running ? "stopped" : "dead";
-    const state = !running || trouble ? ill : restarts > 0 ? "restarted" : "well";
-    setAttribute(row.item, "data-state", state);
+    const look = !running || trouble ? ill : restarts > 0 ? "restarted" : "well";
+    setAttribute(row.item, "data-state", look);
     const again = restarts > 0 ? `restarted ${restarts}×` : "";
     setText(row.note, `${!running ? "not running " : trouble ? "not well " : ""}${again}`.trim());
     setAttribute(row.item, "title", trouble || error || null);

@@ -136,17 +136,15 @@
  */
 
 /**
- * A direction of the link, counted since the session began. octets: by what they carried. drops:
- * packets, by level. lost: frames.
- * @typedef {{octets: Record<string, number>, drops: Record<string, number>, lost: number, slips:
- *   number}} LinkCounts
- */
-
-/**
- * A process. cpu: share of a core over the last 2 s; None: not known yet. trouble: why it does not
- * do its work; "" if it does.
- * @typedef {{name: string, segment: string | null, cpu: number | null, restarts: number, running:
- *   boolean, error: string, trouble: string}} ProcessText
+ * A process as its launcher knows it; once the session is over, as it was at its end. segment:
+ * null for both. state: `running`, `stopped` by a telecommand, `down` until it is started again,
+ * or `absent`. restarts: after ends that nobody asked for. error: why its newest start that failed
+ * ended. trouble: why it does not do its work; "" if it does. cpu_s: of all its starts. cpu: share
+ * of a core over the last 2 s; null: not known yet. age_ms: of its newest figures; 0 if it does
+ * not run. slips, cycles: as in `LoopMetrics`.
+ * @typedef {{name: string, segment: string | null, state: "absent" | "running" | "stopped" |
+ *   "down", restarts: number, error: string, trouble: string, cpu_s: number, cpu: number | null,
+ *   age_ms: number, slips: number, cycles: number}} ProcessText
  */
 
 /**
@@ -156,11 +154,14 @@
  */
 
 /**
- * What a page gets twice a second. at_us: on the session's clock. seconds: since the session
- * began.
+ * What the launcher tells each process that follows the session, once a second. at_us: on the
+ * session's clock. seconds: since the session began. figures: by name; empty if nobody asks for
+ * them. processes: one of each of this machine. events: those that the receiver was not told yet.
+ * problems: what is wrong now, a line each. report: the report so far, for monitoring systems
+ * alone.
  * @typedef {{kind: "figures", at_us: number, seconds: number, state: "running" | "stopped",
- *   figures: Record<string, Figure>, link: Record<string, LinkCounts>, processes: ProcessText[],
- *   events: EventText[]}} FiguresText
+ *   figures: Record<string, Figure>, processes: ProcessText[], events: EventText[], problems:
+ *   string[], report: unknown}} FiguresText
  */
 
 /**

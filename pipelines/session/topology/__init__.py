@@ -5,13 +5,8 @@ Processes of one segment share topics; only streams of the radio link cross to t
 The exceptions are `robot/state` and `mission/leds`, from which the built-in scenes draw the
 simulated world. Without the former they show a scripted motion.
 
-`pipelines.table.topology_of(setup)` gathers it. `topics.py` lists the topics, `streams.py` what the
-link carries, with ports. The processes are in the `rows.py` of their rooms. A new process is a row
-there, and a module `process_NAME.py` beside it.
+`pipelines.table.topology_of(setup)` gathers it. `rows.py` says what a row is, `table.py` has the
+whole, `topics.py` lists the topics, `streams.py` what the link carries, with ports. The processes
+are in the `rows.py` of their rooms. A new process is a row there, and a module `process_NAME.py`
+beside it.
 """
-
-from pipelines.session.setup.segments import *
-from pipelines.session.topology.rows import *
-from pipelines.session.topology.streams import *
-from pipelines.session.topology.table import *
-from pipelines.session.topology.topics import *

@@ -8,7 +8,7 @@ from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.streams.lipsync import Lag
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import VideoStream, VoiceStream
-from pipelines.session.topic import AnyTopic, Topic
+from pipelines.session.topic import AnyTopic, OpusPacket, Topic
 from pipelines.session.topology.topics import (
     displayed_topic,
     page_topic,
@@ -159,13 +159,13 @@ class MediaRow(StreamRow):
     def coded_topic(self) -> AnyTopic:
         if self.kind is Kind.VIDEO:
             return Topic(f"coded/{self.name}", CodedUnit, "received access unit")
-        return Topic(f"coded/{self.name}", bytes, "Opus packet as played")
+        return Topic(f"coded/{self.name}", OpusPacket, "packet as played")
 
     @property
     def sent_topic(self) -> AnyTopic:
         if self.kind is Kind.VIDEO:
             return Topic(f"sent/{self.name}", CodedUnit, "access unit as it was sent")
-        return Topic(f"sent/{self.name}", bytes, "Opus packet as it was sent")
+        return Topic(f"sent/{self.name}", OpusPacket, "packet as it was sent")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,10 +184,6 @@ class VideoRow(MediaRow):
     @property
     def lag_topic(self) -> Topic[Lag]:
         return Topic(f"lag/{self.name}", Lag, "how late the newest picture was shown")
-
-    @property
-    def decoded_topic(self) -> Topic[None]:
-        return Topic(f"decoded/{self.name}", None, "decoded picture in its coded size")
 
 
 @dataclass(frozen=True, kw_only=True)

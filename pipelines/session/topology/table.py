@@ -116,12 +116,6 @@ class Topology:
         """The topics that a process reads, as far as anything writes them."""
         return tuple(name for name in self.process(process).reads if name in self._topics)
 
-    def sends(self, process: str) -> tuple[str, ...]:
-        return tuple(row.name for row in self.streams if row.sender == process)
-
-    def receives(self, process: str) -> tuple[str, ...]:
-        return tuple(row.name for row in self.streams if row.receiver == process)
-
     def ports_of(self, process: str) -> tuple[int, ...]:
         radio = (link.port for link in self.links if link.receiver == process)
         out = {link.direction for link in self.links if link.sender == process}

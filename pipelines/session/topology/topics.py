@@ -6,7 +6,7 @@ declared beside the type of their samples.
 
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.session.setup.segments import Segment
-from pipelines.session.topic import Topic
+from pipelines.session.topic import OpusPacket, PacketOctets, Topic
 
 ROBOT, JOYSTICK = "robot", "joystick"
 #: The arm that only a partner drives, and who hands the robot over.
@@ -56,7 +56,7 @@ _PACKET_WAYS = {
 def packet_topics(segment: Segment) -> dict[tuple[str, str], Topic[bytes]]:
     """By kind and way: the topics with the packets that an end handles."""
     return {
-        (kind, way): Topic(f"{short}/{segment.value}/{way}", bytes, f"{kind} packet {words}")
+        (kind, way): Topic(f"{short}/{segment.value}/{way}", PacketOctets, f"{kind} packet {words}")
         for short, kind in (("tc", TELECOMMAND_KIND), ("tm", TELEMETRY_KIND))
         for way, words in _PACKET_WAYS.items()
     }
@@ -79,19 +79,16 @@ def displayed_topic(stream: str) -> Topic[None]:
 RTC_VIDEO, RTC_SPEECH, RTC_CAMERA, RTC_VOICE = "rtc_video", "rtc_speech", "rtc_camera", "rtc_voice"
 #: What is coded for the partner.
 RTC_VIDEO_TOPIC = Topic[CodedUnit](f"sent/{RTC_VIDEO}", CodedUnit, "access unit for the partner")
-RTC_SPEECH_TOPIC = Topic[bytes](f"sent/{RTC_SPEECH}", bytes, "Opus packet for the partner")
+RTC_SPEECH_TOPIC = Topic[bytes](f"sent/{RTC_SPEECH}", OpusPacket, "packet for the partner")
 #: The partner's access units as they come, before they are decoded.
 RTC_UNITS_TOPIC = Topic[CodedUnit]("rtc/units", CodedUnit, "access unit of the partner")
 #: What came from the partner, as it came and decoded.
 RTC_CODED_CAMERA_TOPIC = Topic[CodedUnit](
     f"coded/{RTC_CAMERA}", CodedUnit, "access unit of the partner, with its size"
 )
-RTC_DECODED_CAMERA_TOPIC = Topic[None](
-    f"decoded/{RTC_CAMERA}", None, "picture of the partner in its coded size"
-)
 RTC_CAMERA_TOPIC = received_topic(RTC_CAMERA)
 RTC_CODED_VOICE_TOPIC = Topic[bytes](
-    f"coded/{RTC_VOICE}", bytes, "Opus packet of the partner as played"
+    f"coded/{RTC_VOICE}", OpusPacket, "packet of the partner as played"
 )
 RTC_VOICE_TOPIC = received_topic(RTC_VOICE)
 RTC_DISPLAYED_TOPIC = displayed_topic(RTC_CAMERA)

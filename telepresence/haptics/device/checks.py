@@ -20,7 +20,7 @@ from telepresence.haptics.device.functional_checks import (
     workspace_check,
 )
 from telepresence.haptics.device.operation import JoystickOperation
-from telepresence.haptics.device.script import CheckResult, CheckScript, Output, ScriptRun
+from telepresence.haptics.device.script import IDLE, CheckResult, CheckScript, ScriptRun
 from telepresence.haptics.device.states import JoystickState
 
 #: Every check by its name, in the order in which they run.
@@ -41,7 +41,6 @@ class CheckBench:
     """Calibrates `device` and runs the checks in `names`: call `handle_cycle` until `done`.
 
     results: one for each finished check.
-    prompt: what a person should do now; "" for nothing.
     """
 
     def __init__(self, device: JoystickDevice, names: Sequence[str]) -> None:
@@ -50,6 +49,7 @@ class CheckBench:
         self._device = device
         self._names = list(names)
         self._run: ScriptRun[CheckResult] | None = None
+        self._output = IDLE
         self._waiting_since_ns = 0
 
     @property
@@ -65,23 +65,22 @@ class CheckBench:
     @property
     def prompt(self) -> str:
         """What a person should do now; "" for nothing."""
-        return self.operation.prompt
+        return self._output.prompt or self.operation.prompt
 
     def handle_cycle(self, now_ns: int, dt_ns: int) -> None:
         """Run one cycle, then advance the device by `dt_ns`."""
         operation = self.operation
         reading = operation.handle_reading(now_ns)
-        output = Output()
+        self._output = IDLE
         if operation.state is JoystickState.APPLICATION and self._names:
             if self._run is None:
                 self._run = ScriptRun(CHECKS[self._names[0]](operation.capabilities))
-            output = self._run.handle_reading(reading, now_ns)
-            operation.prompt = output.prompt
+            self._output = self._run.handle_reading(reading, now_ns)
             if self._run.result is not None:
                 self._finish(self._run.result, now_ns)
         elif self._names:
             self._handle_not_ready(now_ns)
-        operation.handle_force(output.x_n, output.y_n, output.leds)
+        operation.handle_force(self._output.x_n, self._output.y_n, self._output.leds)
         self._device.advance(dt_ns)
 
     def _handle_not_ready(self, now_ns: int) -> None:
@@ -99,4 +98,3 @@ class CheckBench:
         self._names.pop(0)
         self._run = None
         self._waiting_since_ns = now_ns
-        self.operation.prompt = ""

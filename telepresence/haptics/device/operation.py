@@ -6,20 +6,12 @@ by itself. It returns there after a halt once the cause is gone.
 """
 
 from math import isfinite
-from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.device.device import JoystickCapabilities, JoystickDevice, JoystickReading
+from telepresence.haptics.device.calibration import Calibration, calibrate
+from telepresence.haptics.device.device import JoystickDevice, JoystickReading
 from telepresence.haptics.device.functional_test import Outcome, TestReport, functional_test
-from telepresence.haptics.device.script import (
-    IDLE,
-    Cycle,
-    Output,
-    Script,
-    ScriptRun,
-    push_to_stop,
-    travel,
-)
+from telepresence.haptics.device.script import IDLE, ScriptRun
 from telepresence.haptics.device.states import (
     REQUESTS,
     TRANSITIONS,
@@ -31,94 +23,6 @@ from telepresence.haptics.device.states import (
 )
 from telepresence.haptics.device.supervision import Health, JoystickSupervisor, Limits
 from telepresence.haptics.haptic_metrics import OperationMetrics
-
-#: Force of the push (N): more than the handle's friction, and harmless for fingers. Chosen.
-PUSH_N = 5.0
-_SPEED_M_S = 0.6
-#: Tolerated difference between the measured half width and the nominal one, as a share. A larger
-#: one means a faulty encoder or a blocked axis. Chosen.
-TOLERANCE = 0.08
-_REST_NS = 300 * NS_PER_MS
-#: A stick that rests farther from its electrical middle is being held.
-_REST_SHARE = 0.15
-
-
-class Calibration(NamedTuple):
-    """The result: subtract (x_m, y_m) from the encoders' positions.
-
-    half_width_m, half_height_m: measured, or nominal if nothing can be measured.
-    problem: one line that says why the calibration failed; "" if it passed.
-    """
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    half_width_m: float = 0.0
-    half_height_m: float = 0.0
-    problem: str = ""
-
-
-def calibrate(capabilities: JoystickCapabilities) -> Script[Calibration]:
-    """Return the script that finds the middle of the workspace of a device with these facts.
-
-    Motors push the handle to its stops. A stick springs back to its middle, and is left alone.
-    """
-    return _with_motors(capabilities) if capabilities.has_force else _without_motors(capabilities)
-
-
-def _with_motors(capabilities: JoystickCapabilities) -> Script[Calibration]:
-    cycle: Cycle = yield IDLE
-    middles: list[float] = []
-    halves: list[float] = []
-    push_n = min(PUSH_N, capabilities.force_limit_n)
-    for axis, nominal_m in ((0, capabilities.half_width_m), (1, capabilities.half_height_m)):
-        name = "xy"[axis]
-        ends = []
-        for sign in (-1, 1):
-            direction = (sign, 0) if axis == 0 else (0, sign)
-            cycle, end = yield from push_to_stop(
-                cycle, direction, force_n=push_n, speed_m_s=_SPEED_M_S
-            )
-            ends.append(end.position(axis))
-        half_m = (ends[1] - ends[0]) / 2
-        if abs(half_m - nominal_m) > TOLERANCE * nominal_m:
-            return Calibration(
-                problem=f"axis {name} moves by ±{half_m * 1e3:.0f} mm where "
-                f"±{nominal_m * 1e3:.0f} mm are due: free the handle and calibrate again"
-            )
-        middles.append((ends[0] + ends[1]) / 2)
-        halves.append(half_m)
-        to_x = middles[0] if axis == 0 else cycle.reading.x_m
-        to_y = middles[1] if axis == 1 else cycle.reading.y_m
-        cycle, there = yield from travel(cycle, to_x, to_y, speed_m_s=_SPEED_M_S, force_n=push_n)
-        if not there:
-            return Calibration(
-                problem=f"axis {name} does not return to its middle: free the handle, let go of "
-                "it, and calibrate again"
-            )
-    return Calibration(middles[0], middles[1], halves[0], halves[1])
-
-
-def _without_motors(capabilities: JoystickCapabilities) -> Script[Calibration]:
-    cycle: Cycle = yield IDLE
-    until_ns = cycle.now_ns + _REST_NS
-    xs, ys = [cycle.reading.x_m], [cycle.reading.y_m]
-    while cycle.now_ns < until_ns:
-        cycle = yield Output(prompt="leave the stick alone")
-        xs.append(cycle.reading.x_m)
-        ys.append(cycle.reading.y_m)
-    x_m, y_m = sum(xs) / len(xs), sum(ys) / len(ys)
-    for values, middle, half_m in (
-        (xs, x_m, capabilities.half_width_m),
-        (ys, y_m, capabilities.half_height_m),
-    ):
-        moved = max(abs(value) for value in values)
-        if moved > _REST_SHARE * half_m or max(values) - min(values) > _REST_SHARE / 3 * half_m:
-            return Calibration(
-                problem=f"the stick does not rest at its middle ({middle / half_m:+.0%} of its "
-                "travel): let go of it, and calibrate again"
-            )
-    return Calibration(x_m, y_m, capabilities.half_width_m, capabilities.half_height_m)
-
 
 #: The self-test passes after this many readings without a fault.
 _SELF_TEST_CYCLES = 20
@@ -187,7 +91,6 @@ class JoystickOperation:
         self.calibration: Calibration | None = None
         self.reading = JoystickReading(0.0, 0.0, 0.0, 0.0, dead_man=False)
         self.force_limit_n = 0.0
-        self.prompt = ""
         self.released = 0
         self.experiment = ExperimentName.GERMAN
         self.partner: bool | None = None
@@ -220,6 +123,11 @@ class JoystickOperation:
     def state(self) -> JoystickState:
         """The state that the joystick is in."""
         return self.machine.state
+
+    @property
+    def prompt(self) -> str:
+        """What a person should do for a calibration or a test; "" for nothing."""
+        return self._output.prompt
 
     @property
     def testing(self) -> bool:
@@ -271,8 +179,7 @@ class JoystickOperation:
         refusal = self.machine.handle_event(event, now_ns, reason)
         if refusal:
             return refusal
-        self._run = None
-        self._abort_test(f"{event.value}: {reason or _BY_A_PERSON}")
+        self._end_script(f"{event.value}: {reason or _BY_A_PERSON}")
         if event is JoystickEvent.TEST:
             self._test = ScriptRun(functional_test(self.capabilities))
             self.test = TestReport(Outcome.RUNNING, number=self.test.number + 1)
@@ -455,10 +362,7 @@ class JoystickOperation:
         elif self._run is not None:
             machine.handle_event(JoystickEvent.CALIBRATION_FAILED, now_ns, reason)
         if machine.state is not state:
-            self._run = None
-            self._abort_test(reason)
-            self._output = IDLE
-            self.prompt = ""
+            self._end_script(reason)
             self.supervisor.expects_peer = False
 
     def _continue_startup(self, raw: JoystickReading, now_ns: int) -> None:
@@ -471,19 +375,7 @@ class JoystickOperation:
             if self._cycles >= _SELF_TEST_CYCLES:
                 machine.handle_event(JoystickEvent.SELF_TEST_PASSED, now_ns)
         elif self._run is not None:
-            self._output = self._run.handle_reading(raw, now_ns)
-            self.prompt = self._output.prompt
-            found = self._run.result
-            if found is not None:
-                self._run = None
-                self.prompt = ""
-                if found.problem:
-                    machine.handle_event(JoystickEvent.CALIBRATION_FAILED, now_ns, found.problem)
-                else:
-                    self.calibration = found
-                    self.device.set_zero(found.x_m, found.y_m)
-                    self.supervisor.set_workspace(found.half_width_m, found.half_height_m)
-                    machine.handle_event(JoystickEvent.CALIBRATION_PASSED, now_ns)
+            self._continue_calibration(self._run, raw, now_ns)
         elif self._test is not None:
             self._continue_test(self._test, raw, now_ns)
         elif self._automatic and not self.paused:
@@ -499,31 +391,40 @@ class JoystickOperation:
         if (machine.state, event) in TRANSITIONS:
             return self.handle_request(event, now_ns, by)
         # There is no force here but that of a calibration or a test.
-        self._run = None
-        self._abort_test(f"{event.value}: {by}")
-        self._output = IDLE
-        self.prompt = ""
+        self._end_script(f"{event.value}: {by}")
         return ""
+
+    def _continue_calibration(
+        self, run: ScriptRun[Calibration], raw: JoystickReading, now_ns: int
+    ) -> None:
+        self._output = run.handle_reading(raw, now_ns)
+        if (result := run.result) is None:
+            return
+        self._run = None
+        if result.problem:
+            self.machine.handle_event(JoystickEvent.CALIBRATION_FAILED, now_ns, result.problem)
+        else:
+            self.calibration = result
+            self.device.set_zero(result.x_m, result.y_m)
+            self.supervisor.set_workspace(result.half_width_m, result.half_height_m)
+            self.machine.handle_event(JoystickEvent.CALIBRATION_PASSED, now_ns)
 
     def _continue_test(self, run: ScriptRun[TestReport], raw: JoystickReading, now_ns: int) -> None:
         self._output = run.handle_reading(raw, now_ns)
-        self.prompt = self._output.prompt
         if run.result is not None:
             self._test = None
-            self.prompt = ""
             self.test = found = run.result._replace(number=self.test.number)
             passed = found.outcome is Outcome.PASSED
             event = JoystickEvent.TEST_PASSED if passed else JoystickEvent.TEST_FAILED
             self.machine.handle_event(event, now_ns, found.reason)
 
-    def _abort_test(self, reason: str) -> None:
-        """End the test, if there is one; its force ends with the next `handle_force`."""
+    def _end_script(self, reason: str) -> None:
+        """End a calibration or a test; its force ends with the next `handle_force`."""
         if self._test is not None:
             self._test.abort()
-            self._test = None
-            self._output = IDLE
-            self.prompt = ""
             self.test = self.test._replace(outcome=Outcome.ABORTED, reason=reason)
+        self._run = self._test = None
+        self._output = IDLE
 
     def _forget_calibration(self) -> None:
         self.calibration = None

@@ -315,9 +315,8 @@ class MediatedController(JoystickController):
         held_x, held_y = renderer.force_n
         wall_x, wall_y = renderer.step(x_m, y_m, dt_ns, felt=felt)
         turned_n_s = hypot(wall_x - held_x, wall_y - held_y) * NS_PER_S / dt_ns
-        rate_n_s = max(0.0, min(self.model.rate_n_s, _MOST_N_S - turned_n_s))
-        most_n_s = max(0.0, _ALL_N_S - turned_n_s)
-        self._constants = (self._constants[0], rate_n_s, *self._constants[2:4], most_n_s)
+        self.rate_n_s = max(0.0, min(self.model.rate_n_s, _MOST_N_S - turned_n_s))
+        self.most_rate_n_s = max(0.0, _ALL_N_S - turned_n_s)
         if feedback is not None and (not self.residual or (self._unknown and (wall_x or wall_y))):
             feedback = _tuple(Feedback, (0.0, 0.0, *feedback[2:]))
         # Rounding must not make it negative.

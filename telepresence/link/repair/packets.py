@@ -129,11 +129,10 @@ class RepairedPackets:
         self._handed_on.clear()
 
     def _hand_on_ahead(self, place: int, number: int, packet: bytes, now_ns: int) -> None:
-        if self._ordered[number]:
-            last, sequence = self._sequences[number], packet[2] << 8 | packet[3]
-            if last >= 0 and sequence - last & 0xFFFF != 1:
-                # One before it may be restored.
-                return
+        last = self._sequences[number]
+        if self._ordered[number] and last >= 0 and _sequence(packet) - last & 0xFFFF != 1:
+            # One before it may be restored.
+            return
         self._hand_on(place, number, packet, now_ns)
 
     def _hand_on(self, place: int, number: int, packet: bytes, now_ns: int) -> None:
@@ -147,7 +146,7 @@ class RepairedPackets:
             self._packets += self._anew
         self._newest[number] = place
         if self._ordered[number]:
-            self._sequences[number] = packet[2] << 8 | packet[3]
+            self._sequences[number] = _sequence(packet)
         self._settled.take(place, number, packet, now_ns)
 
     def _is_late(self, place: int, number: int, now_ns: int) -> bool:
@@ -173,6 +172,11 @@ class RepairedPackets:
             late=self._late,
             wait_max_ns=self._wait_max_ns,
         )
+
+
+def _sequence(packet: bytes) -> int:
+    """The sequence number of an RTP packet; of garbage any number."""
+    return int.from_bytes(packet[2:4], "big")
 
 
 def _read(

@@ -1,18 +1,10 @@
-"""What the peer's messages show: whether it matches, hears this end now, and has agreed.
-
-A stream of frames that this end does not follow may be a peer that has restarted, or a stray, an
-old recording, a guess. So this end asks by a HELLO with a number that it has never sent before.
-Only an echo of it makes the stream the peer's (`Supervisor.handle_unknown_sender`).
-They are no signature: who reads both ways can answer as well as the peer.
-"""
+"""What the peer's messages show: whether it matches, hears this end now, and has agreed."""
 
 from enum import Enum, auto
-from random import Random
 from typing import NamedTuple
 
 from telepresence.link.supervision.message import (
     KINDS_WITH_RATES,
-    NUMBER_BITS,
     Configuration,
     LinkState,
     MessageKind,
@@ -21,46 +13,6 @@ from telepresence.link.supervision.message import (
     message_version,
     parse_message,
 )
-
-
-class Proof:
-    """One end's questions and answers.
-
-    seed: of the numbers; nobody else may know it.
-    proven: the stream that is followed has echoed a number.
-    challenge: the number to echo, which came last; 0 without any.
-    response: the number that was echoed last.
-    """
-
-    def __init__(self, seed: int, timing: SupervisionTiming) -> None:
-        self.proven = False
-        self.challenge = self.response = 0
-        self._random = Random(seed)
-        #: A number may be asked for a round trip, and its echo may take another.
-        self._life_ns = timing.round_trip_ns
-        self._number = self._last = 0
-        self._drawn_ns = 0
-
-    def number(self, now_ns: int) -> int:
-        """The number to ask for now."""
-        age_ns = now_ns - self._drawn_ns
-        if not self._number or age_ns >= self._life_ns:
-            self._last = self._number if age_ns < 2 * self._life_ns else 0
-            self._number = 1 + self._random.randrange((1 << NUMBER_BITS) - 1)
-            self._drawn_ns = now_ns
-        return self._number
-
-    def answers(self, echo: int, now_ns: int) -> bool:
-        """Whether `echo` answers a question that is not too old. Each question counts once."""
-        age_ns = now_ns - self._drawn_ns
-        if not echo or not (
-            (echo == self._number and age_ns < 2 * self._life_ns)
-            or (echo == self._last and age_ns < self._life_ns)
-        ):
-            return False
-        self._number = self._last = 0
-        return True
-
 
 #: After so many messages in a row of a peer without repair, this end does without it, too. They
 #: outlast those of a peer with repair that has not met this end yet.

@@ -18,6 +18,7 @@ from enum import Enum, auto
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.link_metrics import OtherEndMetrics, SupervisionMetrics
 from telepresence.link.repair.reserve import Loss
+from telepresence.link.supervision.challenge import HelloSchedule, Proof
 from telepresence.link.supervision.message import (
     KINDS_WITH_LOSS,
     Configuration,
@@ -28,7 +29,7 @@ from telepresence.link.supervision.message import (
     SupervisionTiming,
     pack_message,
 )
-from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation, Proof
+from telepresence.link.supervision.negotiation import MessageVerdict, Negotiation
 from telepresence.link.supervision.record import (
     ApplicationReset,
     PeerDeaf,
@@ -53,9 +54,6 @@ _DEAF_LATER_NS = NS_PER_S
 _PEER_SILENCE_NS = 2 * NS_PER_S
 #: An unknown sender without a message is challenged after this time: its delay may have changed.
 _MUTE_NS = 5 * NS_PER_MS
-#: With a peer, unknown senders are challenged at this interval, and no longer than this after
-#: their last frame.
-_ASK_NS = 100 * NS_PER_MS
 #: Fewer slots than this without a frame are never a loss of signal, however long the slots are.
 _LEAST_SLOTS = 3
 
@@ -211,18 +209,11 @@ class Supervisor:
         )
         self._application = ApplicationWatch(self.timing, now_ns)
         self._pacing = MessagePacing(self.timing, now_ns)
-        self._proof = Proof(secret, self.timing)
+        self._proof, self._hellos = Proof(secret, self.timing), HelloSchedule(self.timing, now_ns)
         #: The newest message of the unknown sender's stream that matches.
         self._unknown: SupervisionMessage | None = None
-        #: When a frame of any unknown sender came, and of one that may be the peer.
-        self._stray_ns = self._unknown_sender_ns = now_ns - self.timing.silence_ns
-        #: When to send a HELLO out of turn, if at all; when the last one was sent, and the last
-        #: one because of an unknown sender.
-        self._greet_ns: int | None = None
-        self._greeted_ns = self._asked_ns = now_ns - self.timing.silence_ns
-        #: Whether that HELLO is the first answer to a question; when the last such one was sent.
-        self._prompt = False
-        self._answered_ns = now_ns - self.timing.silence_ns
+        #: When a frame of any unknown sender came.
+        self._stray_ns = now_ns - self.timing.silence_ns
         self._events: deque[SupervisionEvent] = deque(maxlen=_EVENTS_DEPTH)
         self._record = SupervisionRecord(self.state, self.why, now_ns)
         self._counts = self._record.counts
@@ -267,12 +258,9 @@ class Supervisor:
         known = self._unknown
         if known is not None and self._may_be_deaf(known, now_ns, frames, lasts_ns):
             return self._meet(known, now_ns, proven=False)
-        if told is not None or lasts_ns >= _MUTE_NS:
-            self._unknown_sender_ns = now_ns
-            # Without a signal, every message is a HELLO.
-            if self.signal and self._greet_ns is None:
-                self._greet_ns = self._asked_ns + _ASK_NS
-                self._schedule(now_ns)
+        candidate = told is not None or lasts_ns >= _MUTE_NS
+        if candidate and self._hellos.handle_candidate(now_ns, alone=not self.signal):
+            self._schedule(now_ns)
         if message is not None:
             self._counts["messages_received"] += told is not None
             self._update(now_ns)
@@ -408,7 +396,7 @@ class Supervisor:
         before_boot_id = self.peer_boot_id
         self._proof.proven = proven
         self._unknown = None
-        self._unknown_sender_ns = now_ns - _ASK_NS
+        self._hellos.handle_met(now_ns)
         if not self._negotiation.meet(told.boot_id):
             self._update(now_ns)
             return Encounter.RETURN
@@ -423,21 +411,10 @@ class Supervisor:
         self._events.append(PeerMet(now_ns, self.peer_boot_id, before_boot_id != 0))
 
     def _note_challenge(self, told: SupervisionMessage, now_ns: int) -> None:
-        """Answer a challenge at once, but not so often that the answers take the packets' place."""
-        if not told.number:
-            return
-        proof, timing = self._proof, self.timing
-        repeated = told.number == proof.response
-        proof.challenge = told.number
-        settled = self.signal and proof.proven
-        if repeated or settled:
-            due_ns = max(now_ns, self._greeted_ns + timing.fast_ns)
-        else:
-            # Both ends wait for this answer: it need not keep the distance to other messages.
-            due_ns = max(now_ns, self._answered_ns + timing.spacing_ns)
-            self._prompt = True
-        self._greet_ns = due_ns if self._greet_ns is None else min(self._greet_ns, due_ns)
-        self._schedule(now_ns)
+        if told.number:
+            settled = self.signal and self._proof.proven
+            self._hellos.handle_challenge(told.number, now_ns, settled=settled)
+            self._schedule(now_ns)
 
     def _lose(self, now_ns: int) -> None:
         self.signal = self.peer_hears = False
@@ -464,19 +441,16 @@ class Supervisor:
         self._update(now_ns, cause)
         if now_ns < self.next_ns:
             return None
-        message = self._message(self._next_kind(now_ns), now_ns)
-        if message.kind is self._kind():
+        kind = self._kind()
+        regular = now_ns >= self._pacing.due_ns
+        hello = self._hellos.is_next(now_ns, regular=regular)
+        message = self._message(MessageKind.HELLO if hello else kind, now_ns)
+        if message.kind is kind:
             self._pacing.handle_sent(self._content(), now_ns)
         else:
             self._pacing.handle_extra(now_ns)
         if message.kind is MessageKind.HELLO:
-            if self._prompt:
-                self._answered_ns = now_ns
-            self._greet_ns, self._prompt = None, False
-            self._greeted_ns = now_ns
-            self._proof.response = message.echo
-            if message.number:
-                self._asked_ns = now_ns
+            self._hellos.handle_sent(message, now_ns)
         self._counts["messages_sent"] += 1
         self._schedule(now_ns)
         return pack_message(message)
@@ -533,9 +507,8 @@ class Supervisor:
         settled = self.state is connected and peer is not None and peer.state is connected
         pacing.handle_content(self._content(), now_ns, heard=self.peer_hears, settled=settled)
         self.next_ns = pacing.due_ns
-        if self._greet_ns is not None:
-            earliest_ns = 0 if self._prompt else pacing.earliest_ns
-            self.next_ns = min(self.next_ns, max(self._greet_ns, earliest_ns))
+        if (hello_ns := self._hellos.next_ns(pacing.earliest_ns)) is not None:
+            self.next_ns = min(self.next_ns, hello_ns)
         if self.signal:
             self.next_ns = min(self.next_ns, self._frame_ns + self._silence_ns)
 
@@ -550,23 +523,14 @@ class Supervisor:
             return MessageKind.HELLO
         return self._negotiation.kind(self.state)
 
-    def _next_kind(self, now_ns: int) -> MessageKind:
-        regular = self._kind()
-        if self._greet_ns is None or now_ns < self._greet_ns:
-            return regular
-        # An answer that was given before can wait.
-        repeated = self._proof.challenge == self._proof.response
-        return regular if repeated and now_ns >= self._pacing.due_ns else MessageKind.HELLO
-
     def _message(self, kind: MessageKind, now_ns: int) -> SupervisionMessage:
-        negotiation, application, proof = self._negotiation, self._application, self._proof
+        negotiation, application, hellos = self._negotiation, self._application, self._hellos
         peer = negotiation.peer
         number = echo = 0
         if kind is MessageKind.HELLO:
-            echo = proof.challenge
-            strange = now_ns - self._unknown_sender_ns < _ASK_NS
-            if strange or not (self.signal and proof.proven):
-                number = proof.number(now_ns)
+            echo = hellos.challenge
+            if hellos.asks(now_ns) or not (self.signal and self._proof.proven):
+                number = self._proof.number(now_ns)
         return SupervisionMessage(
             version=negotiation.version,
             kind=kind,

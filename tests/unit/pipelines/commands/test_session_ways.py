@@ -7,8 +7,9 @@ import socket
 from pipelines.commands.session_ways import files_arguments
 from pipelines.files.service_sockets import bound_services
 from pipelines.session.options import StreamOptions
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import FILES, PAGES, Segment
+from pipelines.session.topology.topics import FILES, PAGES
 from pipelines.table import topology_of
 
 

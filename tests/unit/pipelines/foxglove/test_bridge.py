@@ -3,6 +3,7 @@
 import json
 import re
 import struct
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -17,17 +18,18 @@ from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.h26x import H264Decoder, H264Encoder, H265Encoder
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.foxglove.bridge import Bridge, live_channels
 from pipelines.foxglove.client import MOST_AGE_NS
-from pipelines.media.key_picture_maker import last_key
+from pipelines.media.key_picture_maker import key_of
 from pipelines.mission.tmtc_messages import CommandUpdate
 from pipelines.recording.channels import sources_of
 from pipelines.recording.recorded_messages import RecordedPicture, UnitMetadata, unpack
 from pipelines.recording.session_messages import Instants
-from pipelines.session.session_metrics import Event, SessionEvents
+from pipelines.session.session_metrics import Event, SessionNews
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"])
@@ -70,25 +72,28 @@ def taken(bridge, number):
 
 
 def units(count):
-    """A stream as it is sent: a key picture once, then refresh waves."""
+    """A stream as it is sent: a key picture once, then refresh waves; and its added keys."""
     encoder = H264Encoder(width=160, height=120, fps=Fraction(30), cap_bps=200_000)
+    sets = b""
     for number in range(count):
         picture = empty_picture(160, 120)
         picture[:120] = (np.arange(160) * 2 + np.arange(120)[:, None] + 3 * number) % 200 + 20
         picture[120:] = 128
         stamp = CaptureStamp(number * NS_PER_S // 30, number, "test")
         unit = encoder.encode(VideoFrame(picture, stamp))
+        sets = sets or H264.parameter_sets(unit.data)
         width, height = encoder.unit_size
         size = {"width": width, "height": height}
-        yield CodedUnit(data=unit.data, key=unit.keyframe, dated=True, **size), stamp
+        coded = CodedUnit(data=unit.data, key=unit.keyframe, parameter_sets=sets, **size)
+        key = key_of(picture, width, height)
+        yield coded, stamp, replace(coded, data=key, key=True, added=True)
 
 
-def show(bridge, unit, stamp, *, keys=True):
+def show(bridge, unit, stamp, key=None):
     now_ns = stamp.capture_ns + NS_PER_MS
-    bridge.handle_sample(SOURCES[SENT], unit.pack(), stamp, Instants(now_ns, now_ns))
-    while keys and (asked := bridge.next_event()) is not None:
-        key = last_key(asked.units, asked.width, asked.height)
-        bridge.handle_key_picture(asked, key, now_ns)
+    asks = bridge.poll_ask(SOURCES[SENT], now_ns)
+    for sample in (unit, key) if asks and key is not None else (unit,):
+        bridge.handle_sample(SOURCES[SENT], sample.pack(), stamp, Instants(now_ns, now_ns))
     bridge.handle_time(now_ns)
 
 
@@ -106,18 +111,19 @@ def pictures(messages):
 def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing(bridge):
     first, late = joined(bridge, VIDEO), None
     of_first, of_late = [], []
-    for unit, stamp in units(40):
+    for unit, stamp, key in units(40):
         if stamp.sequence == 20:
             late = joined(bridge, VIDEO, f"{VIDEO}/facts", now_ns=stamp.capture_ns)
-        show(bridge, unit, stamp)
+        show(bridge, unit, stamp, key)
         of_first += taken(bridge, first)
         of_late += [] if late is None else taken(bridge, late)
     assert len(of_first) == pictures(of_first) == 40
     metadata = [unpack(UnitMetadata, data) for topic, _, data in of_late if topic.endswith("facts")]
     of_late = [one for one in of_late if one[0] == VIDEO]
-    assert len(of_late) == pictures(of_late) == 21
+    # The key picture of the unit 20, in its place.
+    assert len(of_late) == pictures(of_late) == 20
     assert sorted(one.added for one in metadata) == [False] * 20 + [True]
-    assert of_late[2:] == of_first[21:]
+    assert of_late[2:] == of_first[22:]
 
 
 def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_picture(bridge):
@@ -141,8 +147,8 @@ def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_pict
 def test_who_reads_nothing_loses_the_oldest_and_begins_anew(bridge):
     slow, fast = joined(bridge, VIDEO), joined(bridge, VIDEO)
     of_fast, of_slow = [], []
-    for unit, stamp in units(150):
-        show(bridge, unit, stamp)
+    for unit, stamp, key in units(150):
+        show(bridge, unit, stamp, key)
         of_fast += taken(bridge, fast)
         # After its pause of three seconds it keeps up.
         if stamp.capture_ns > MOST_AGE_NS + NS_PER_S:
@@ -160,10 +166,10 @@ def test_who_reads_nothing_loses_the_oldest_and_begins_anew(bridge):
 
 def test_metrics_and_events_come_whole_to_who_joins_late(bridge):
     event = Event(number=1, at_us=3, what="link", text="signal")
-    bridge.handle_told(SessionEvents(at_us=5, events=[event], metrics={"a": 1, "b": "x"}), 0)
+    bridge.handle_session(SessionNews(at_us=5, events=[event], figures={"a": 1, "b": "x"}), 0)
     number = joined(bridge)
     bridge.handle_text(number, '{"op":"subscribeParameterUpdates","parameterNames":[]}', 0)
-    bridge.handle_told(SessionEvents(at_us=6, events=[], metrics={"a": 2, "b": "x"}), 0)
+    bridge.handle_session(SessionNews(at_us=6, events=[], figures={"a": 2, "b": "x"}), 0)
     changed = [{"name": "figures.a", "value": 2}]
     assert taken(bridge, number) == [{"op": "parameterValues", "parameters": changed}]
     bridge.handle_text(number, '{"op":"getParameters","parameterNames":["setup.name"],"id":"q"}', 0)

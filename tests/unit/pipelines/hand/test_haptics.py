@@ -145,7 +145,7 @@ def test_one_robot_at_a_time_follows_the_hand_and_the_port_stays_passive(bench):
             assert side.report().least_uj >= -1
     assert bench.board.ownership.report().turns == 4
     # No sample under way was for the other robot.
-    assert bench.ours.side.link.lost == bench.joystick.side.link.lost == 0
+    assert bench.ours.side.link.counts.lost == bench.joystick.side.link.counts.lost == 0
 
 
 def test_a_switch_halts_and_needs_a_new_press(bench):

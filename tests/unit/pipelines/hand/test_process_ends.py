@@ -10,7 +10,7 @@ from kontur_av.media import CaptureStamp
 from kontur_av.returned import PartError
 from pipelines.hand import partner_arm, process_ends, timed_calls
 from pipelines.hand.hand_topics import HAND_INPUT_TOPIC
-from pipelines.hand.process_ends import _hand
+from pipelines.hand.process_ends import PageHand
 from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.haptic_metrics import HandInputMetrics
 
@@ -26,9 +26,9 @@ def test_inputs_of_a_page_that_move_nothing_are_told():
         on_flush=flushes.append, probe=SimpleNamespace(publish=lambda metrics: told.append(metrics))
     )
     bus = SimpleNamespace(reader=lambda _topic, depth: reader)
-    take = _hand(context, bus, PageDevice(start_m=(0.0, 0.0)), HAND_INPUT_TOPIC)
+    hand = PageHand(context, bus, PageDevice(start_m=(0.0, 0.0)), HAND_INPUT_TOPIC)
     for _ in range(4):
-        take(0)
+        hand.take(0)
     flushes[0]()
     # One out of range, and one that came again.
     assert told == [HandInputMetrics(inputs_ignored=2)]

@@ -7,8 +7,8 @@ import pytest
 from pipelines.link.gateway_end import GatewayEnd
 from pipelines.session.datagrams import Outlet
 from pipelines.session.probe import Probe
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.session.training import Exercises
 from pipelines.table import topology_of
 from telepresence.link.flows import HapticReceived

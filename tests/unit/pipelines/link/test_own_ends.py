@@ -7,7 +7,7 @@ from common import eventually
 
 from pipelines.link import own_ends
 from pipelines.link.own_ends import PeerPlan, PeerSocket
-from pipelines.session.topology import Segment
+from pipelines.session.setup.segments import Segment
 from telepresence.link.frame import FrameCodec
 from telepresence.link.peer_path import FIRST_LOOKUP_NS, OpenPath
 from telepresence.link.profile import DOWNLINK

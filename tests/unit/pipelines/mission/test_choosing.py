@@ -11,7 +11,7 @@ from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValu
 from pipelines.session.probe import Probe
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import MAX_CAMERA_OCTETS
-from pipelines.session.topology import Topology
+from pipelines.session.topology.table import Topology
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 CAMERAS = BUILT_IN["spacejustin"].cameras

@@ -11,7 +11,7 @@ from common import eventually
 from kontur_av.errors import ConfigError
 from pipelines.packets.process_packets import FrameCopies, _Streams, parse_frames
 from pipelines.session.topic import Topic
-from pipelines.session.topology import Frames
+from pipelines.session.topology.rows import Frames
 
 FRAMES = Topic("frames", Frames, "frames")
 

@@ -7,8 +7,9 @@ from google.protobuf import descriptor_pb2
 
 from kontur_av.sources.recorded_format import FORMAT_KEY
 from pipelines.recording.channels import channels_of
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Kind, Segment
+from pipelines.session.topology.rows import Kind
 from pipelines.table import topology_of
 
 SESSIONS = [topology_of(setup) for setup in BUILT_IN.values()]

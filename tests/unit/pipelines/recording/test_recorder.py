@@ -19,12 +19,13 @@ from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.haptic_trace import CONTACT, ROW
 from pipelines.link.gateway_end import GatewayEnd
-from pipelines.media.key_picture_maker import last_key
+from pipelines.media.joined_units import MOST_KEPT_NS
+from pipelines.media.key_picture_maker import key_of
 from pipelines.recording.camera_reader import CameraReader
-from pipelines.recording.channels import Content, sources_of
+from pipelines.recording.channels import sources_of
 from pipelines.recording.mcap_stream import MAGIC
 from pipelines.recording.metadata import METADATA, RecordingMetadata
-from pipelines.recording.own_pictures import KEY_TIMEOUT_NS
+from pipelines.recording.part_streams import RETRY_NS
 from pipelines.recording.recorded_messages import (
     LinkReceived,
     LinkSent,
@@ -38,13 +39,13 @@ from pipelines.recording.recorded_messages import (
     unpack,
     unpack_haptics,
 )
-from pipelines.recording.recorder import RETRY_NS, Recorder
+from pipelines.recording.recorder import TURN_NS, Recorder
 from pipelines.recording.scan import FoundMessage, Scan
 from pipelines.session.probe import Probe
 from pipelines.session.recording_requests import PartLimits
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 
 SETUP = BUILT_IN["spacejustin"]
@@ -72,32 +73,23 @@ class Disk:
         self.recorder = Recorder(topology, METADATA_OF_TEST, wall_offset_ns=OFFSET_NS, **options)
         self.files = {}
         self.full = False
-        #: Whether key pictures are made at once.
-        self.makes_keys = True
 
     def pump(self, now_ns):
         recorder = self.recorder
         if recorder.wants_part(now_ns):
             if self.full:
-                recorder.handle_fault(None, "full", now_ns)
+                recorder.parts.handle_fault(None, "full", now_ns)
             else:
                 part = len(self.files) + 1
                 self.files[part] = bytearray()
                 recorder.handle_opened(part, now_ns)
         recorder.handle_time(now_ns)
-        if self.makes_keys:
-            self.make_keys()
-        while (piece := recorder.poll_transmit(now_ns)) is not None:
+        while (piece := recorder.parts.poll_transmit(now_ns)) is not None:
             if self.full:
-                recorder.handle_fault(piece.part, "full", now_ns)
+                recorder.parts.handle_fault(piece.part, "full", now_ns)
             else:
                 self.files[piece.part] += piece.octets
-                recorder.handle_written()
-
-    def make_keys(self):
-        while (wanted := self.recorder.next_event()) is not None:
-            number, *what = wanted
-            self.recorder.handle_key_picture(number, last_key(*what))
+                recorder.parts.handle_written()
 
     def end(self, now_ns):
         self.recorder.handle_end(now_ns)
@@ -154,13 +146,6 @@ def coded(count):
     return units
 
 
-def packed(unit, size, sets=b""):
-    width, height = size
-    return CodedUnit(
-        data=unit.data, key=unit.keyframe, width=width, height=height, parameter_sets=sets
-    ).pack()
-
-
 def test_each_message_has_its_wall_time_and_contacts_are_events():
     disk, now_ns = Disk(), 10 * NS_PER_S
     disk.pump(now_ns - NS_PER_S)
@@ -199,45 +184,50 @@ def test_each_message_has_its_wall_time_and_contacts_are_events():
     assert not disk.counts("missed")
 
 
-def test_a_recording_that_joins_begins_with_a_black_key_and_is_right_after_a_wave():
-    disk, first, count = Disk(), 20, 60
-    disk.pump(first * NS_PER_S // 30)
-    units = streamed(disk, count, first=first, with_sets=True)
-    (file,) = disk.end(3 * NS_PER_S)
-    assert_sound(file, first, count)
-    *_, last = shown(file, units[-1][1])
-    assert np.array_equal(last, units[-1][2])
+def streamed(disk, count, *, first=0, late=0, without=()):
+    """Record a stream, and a sample of the robot beside each unit.
 
+    late: a key picture that is asked for comes so many units later; without: not for these.
+    """
+    units, due = coded(count), {}
+    sets = H264.parameter_sets(units[0][0].data)
 
-def streamed(disk, count, *, makes_key_at=(), first=0, with_sets=False):
-    """Record a stream and a sample of the robot beside each unit; a part lasts 2 s."""
-    units = coded(count)
-    sets = H264.parameter_sets(units[0][0].data) if with_sets else b""
-    for number, (unit, size, _) in enumerate(units[first:], first):
+    def give(number, **changes):
+        unit, (width, height), _ = units[number]
+        size = {"width": width, "height": height, "parameter_sets": sets}
+        whole = CodedUnit(**{"data": unit.data, "key": unit.keyframe} | size | changes)
+        at = stamp(number, number * NS_PER_S // 30)
+        disk.recorder.handle_sample(SOURCES[SENT], whole.pack(), at, at_ns)
+
+    for number in range(first, count):
         at_ns = number * NS_PER_S // 30
-        octets = packed(unit, size, sets)
         disk.pump(at_ns)
-        disk.recorder.handle_sample(SOURCES[SENT], octets, stamp(number, at_ns), at_ns)
+        give(number)
         disk.robot(number, at_ns)
-        if number in makes_key_at:
-            disk.make_keys()
+        if disk.recorder.poll_ask(SOURCES[SENT], at_ns) and number not in without:
+            due[number + late] = number
+        if number in due:
+            _, size, picture = units[due[number]]
+            give(due[number], data=key_of(picture, *size), key=True, added=True)
         disk.pump(at_ns)
     return units
 
 
-def assert_sound(file, first, count):
-    """Check that a key picture and all units from `first` on are there, in order."""
-    video = file["/uplink_video/sent"]
-    assert [each.sequence for each in video] == [first - 1, *range(first, count)]
+def told(file):
+    """Number of each unit in the file, and whether it is a key picture that was added."""
+    video, metadata = (file.get(f"/uplink_video/sent{name}", []) for name in ("", "/facts"))
     assert [each.log_time for each in video] == sorted(each.log_time for each in video)
-    told = file["/uplink_video/sent/facts"]
-    assert [each.sequence for each in told] == [each.sequence for each in video]
-    metadata = [unpack(UnitMetadata, each.data) for each in told]
-    assert [each.added for each in metadata] == [True] + [False] * (count - first)
+    assert [each.sequence for each in metadata] == [each.sequence for each in video]
+    added = [unpack(UnitMetadata, each.data).added for each in metadata]
+    return list(zip([each.sequence for each in video], added, strict=True))
+
+
+def plain(numbers):
+    return [(number, False) for number in numbers]
 
 
 def shown(file, size):
-    """The pictures of a file, from its added key picture on."""
+    """The pictures of a file."""
     decoder, found = H264Decoder(), []
     for message in file["/uplink_video/sent"]:
         (picture,) = decoder.decode(unpack(RecordedPicture, message.data).data, 0)
@@ -247,65 +237,58 @@ def shown(file, size):
     return found
 
 
-@pytest.mark.parametrize("late", [0, 1, 20, 59])
-def test_no_unit_is_lost_however_late_its_key_picture_comes(late):
-    disk, count = Disk(limits=PartLimits(ns=2 * NS_PER_S)), 120
-    disk.makes_keys = False
-    units = streamed(disk, count, makes_key_at=[60 + late])
+def test_a_recording_that_joins_begins_with_a_key_picture_and_is_right_after_a_wave():
+    disk = Disk()
+    disk.pump(20 * NS_PER_S // 30)
+    units = streamed(disk, 70, first=20, late=2)
+    (file,) = disk.end(3 * NS_PER_S)
+    assert told(file) == [(20, True), *plain(range(21, 70))]
+    *_, last = shown(file, units[-1][1])
+    assert np.array_equal(last, units[-1][2])
+    assert disk.recorder.metrics(None).lost == 0
+
+
+@pytest.mark.parametrize("late", [0, 1, 20])
+def test_each_part_begins_with_a_key_picture_and_no_unit_is_lost_however_late_it_comes(late):
+    disk, count = Disk(limits=PartLimits(ns=2 * NS_PER_S)), 115
+    units = streamed(disk, count, late=late)
     first, second = disk.end(4 * NS_PER_S)
-    assert [each.sequence for each in first["/uplink_video/sent"]] == [*range(60)]
-    assert_sound(second, 60, count)
-    pictures = shown(second, units[60][1])[1:]
-    for picture, (_, _, right) in zip(pictures, units[60:], strict=True):
-        assert np.abs(picture - right).mean() < 1.5
+    assert told(first) == plain(range(61))
+    assert told(second) == [(60, True), *plain(range(61, count))]
+    for picture, (_, _, right) in zip(shown(second, units[0][1]), units[60:], strict=True):
+        assert np.abs(picture - right).mean() < 2
     metrics = disk.recorder.metrics(None)
     assert (metrics.lost, metrics.late_keys) == (0, 0)
 
 
-def test_while_a_key_picture_is_made_its_stream_waits_and_the_others_do_not():
+def test_before_a_new_part_the_others_do_not_wait_and_what_waits_on_a_failing_disk_is_kept():
     disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
-    disk.makes_keys = False
-    streamed(disk, 115)
-
-    def in_file():
-        items = Scan(memoryview(bytes(disk.files[2]))).items()
-        return {each.channel.topic for each in items if isinstance(each, FoundMessage)}
-
-    assert in_file() == {"/haptic/up/sent", "/haptic/down/received"}
-    disk.make_keys()
-    disk.pump(5 * NS_PER_S)
-    assert {"/uplink_video/sent", "/uplink_video/sent/facts"} <= in_file()
-
-    # What waits on a failing disk is counted.
-    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
-    disk.makes_keys = False
-    streamed(disk, 70)
-    disk.recorder.handle_fault(2, "full", 70 * NS_PER_S // 30)
-    disk.make_keys()
-    disk.pump(5 * NS_PER_S)
-    assert disk.counts("kept")["/uplink_video/sent"] == 60
-    for channel in ("/uplink_video/sent", "/uplink_video/sent/facts"):
-        assert disk.counts("dropped")[channel] == 10
+    streamed(disk, 80, late=1000)
+    assert len(disk.files) == 1
+    disk.recorder.parts.handle_fault(1, "full", 80 * NS_PER_S // 30)
+    disk.pump(80 * NS_PER_S // 30 + RETRY_NS)
+    *_, file = disk.end(6 * NS_PER_S)
+    assert told(file) == plain(range(60, 80))
+    counts = disk.recorder.metrics(None).channels
+    for channel in ("/uplink_video/sent", "/uplink_video/sent/facts", "/haptic/up/sent"):
+        assert counts[channel].kept + counts[channel].dropped == 80
+    assert counts["/haptic/up/sent"].kept > 60
 
 
-@pytest.mark.parametrize("end", ["time", "octets", "part", "recording"])
-def test_a_black_picture_takes_the_place_of_one_that_is_too_late(end, monkeypatch):
+@pytest.mark.parametrize("end", ["turn", "time", "octets", "recording"])
+def test_units_whose_key_picture_never_comes_are_recorded_without(end, monkeypatch):
     if end == "octets":
-        monkeypatch.setattr("pipelines.recording.recorder.MOST_HELD_OCTETS", 5_000)
-    count = {"time": 220, "octets": 110, "part": 125, "recording": 70}[end]
-    disk = Disk(limits=PartLimits(ns=(6 if end == "time" else 2) * NS_PER_S))
-    disk.makes_keys = False
-    first = 180 if end == "time" else 60
-    streamed(disk, count)
-    if end == "time":
-        disk.pump(first * NS_PER_S // 30 + KEY_TIMEOUT_NS)
+        monkeypatch.setattr("pipelines.media.joined_units.MOST_KEPT_OCTETS", 5_000)
+    count = 60 + {"turn": 40, "time": 160, "octets": 40, "recording": 10}[end]
+    disk = Disk(limits=PartLimits(ns=2 * NS_PER_S))
+    streamed(disk, count, without=range(1000))
     late_keys = disk.recorder.metrics(None).late_keys
-    if end != "recording":
-        disk.make_keys()
     files = disk.end(count * NS_PER_S // 30)
-    assert late_keys == (end != "recording")
-    assert_sound(files[1], first, 120 if end == "part" else count)
-    assert not any(channel.dropped for channel in disk.recorder.metrics(None).channels.values())
+    assert [each for file in files for each in told(file)] == plain(range(count))
+    assert (late_keys > 0) == (end in ("time", "octets"))
+    # A new part does not wait for them for ever.
+    assert (len(files) > 1) == (count > 60 + TURN_NS * 30 // NS_PER_S)
+    assert MOST_KEPT_NS > TURN_NS and disk.recorder.metrics(None).lost == 0
 
 
 @pytest.mark.rule("4")
@@ -331,7 +314,7 @@ def test_on_a_full_disk_every_message_is_kept_or_counted_as_dropped(chunks_befor
         disk.pump(now_ns)
         disk.robot(number, now_ns)
         handled += 1
-    assert disk.recorder.fault == ""
+    assert disk.recorder.parts.fault == ""
     *_, last = disk.end(20 * NS_PER_S)
     torn = Scan(memoryview(bytes(disk.files[1])))
     found = [each for each in torn.items() if isinstance(each, FoundMessage)]
@@ -421,7 +404,7 @@ def test_cameras_are_coded_cheaply_or_whole_as_the_setup_wants(cameras, kept, lo
     disk = Disk(topology_of(setup, recorder=True))
     disk.pump(0)
     source = SOURCES["input/head"]
-    assert source.content is Content.CAMERA
+    assert source.is_camera
     camera = Camera()
     reader = CameraReader(camera, source, disk.recorder.coder(source), whole=whole)
     reader.handle_carried(whole)

@@ -1,6 +1,6 @@
 """Every event of a session is told once, with its instant, in the order of the instants."""
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from types import SimpleNamespace
 
 import pytest
@@ -13,10 +13,10 @@ from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics, Select
 from pipelines.mission.mission_metrics import TaskMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.event_log import DEPTH, EventLog
+from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.session_switch import Order, SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN, load_setup
 from pipelines.session.task_journal import TaskRow, TaskStep
-from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
 from telepresence.haptics.authority import AuthorityEvent
 from telepresence.haptics.envelope import SafetyMetrics
@@ -104,7 +104,7 @@ def test_a_pass_begins_and_ends_when_its_orbit_says():
 
 def test_a_camera_a_restart_and_the_joystick_are_told_once_each(session):
     def robot(restarts, error=""):
-        return [ProcessNow(name="robot", restarts=restarts, running=True, error=error)]
+        return [ProcessNow(name="robot", restarts=restarts, error=error)]
 
     session.told("selector", SelectorMetrics(selected="stereo"))
     assert session.look(1, robot(0)) == []
@@ -126,12 +126,12 @@ def test_a_camera_a_restart_and_the_joystick_are_told_once_each(session):
 
 
 def test_a_robots_fault_and_a_process_that_hangs_are_told_once(session):
-    robot = ProcessNow(name="robot", restarts=0, running=True, error="")
+    robot = ProcessNow(name="robot")
     session.told("robot", RobotMetrics(fault="E217: gripper jammed"))
     told = [(1_000_000, "session", "robot: it is off: E217: gripper jammed")]
     assert session.look(1, [robot]) == told
     for at_s, words in ((2, "it hangs"), (3, "it was killed")):
-        hung = [replace(robot, trouble=words)]
+        hung = [ProcessNow(name="robot", trouble=words)]
         assert session.look(at_s, hung) == [(at_s * 1_000_000, "process", f"robot: {words}")]
         assert session.look(at_s + 0.5, hung) == []
     session.told("robot", RobotMetrics())

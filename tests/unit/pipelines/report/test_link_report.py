@@ -5,17 +5,19 @@ import re
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from told import message
+from rich.console import Console
+from told import message, processes
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.link.link_metrics import SocketMetrics
 from pipelines.report import link_report
 from pipelines.report.collector import Collector
+from pipelines.report.live import LinkLines
 from pipelines.report.model import LinkReport, from_json, to_json
+from pipelines.report.summary import print_summary
 from pipelines.session.session_metrics import LoopMetrics
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Direction, Segment
-from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
 from telepresence.link.gateway import Gateway
 
@@ -62,18 +64,23 @@ class Link:
             told = message(LoopMetrics(slips=2, cycles=1000), gauges)
             self.collector.handle_message(f"{end.value}_gateway", told, self.now_ns)
 
-    def report(self, ends=ENDS, processes=()):
+    def report(self, ends=ENDS, **changes):
         names = [f"{end.value}_gateway" for end in ends]
         return link_report.build_link_report(
             self.collector,
             ends,
             seconds=self.now_ns / NS_PER_S,
             seed=3,
-            cpu_s=dict.fromkeys(names, 0.5),
-            restarts=dict.fromkeys(names, 0),
+            processes=processes(names, 0.5, **changes),
             launcher_cpu_s=0.1,
-            processes=processes,
         )
+
+
+def summary_of(report):
+    console = Console(width=118)
+    with console.capture() as capture:
+        print_summary(report, console)
+    return capture.get()
 
 
 def haptics(ground, space, now_ns):
@@ -81,20 +88,21 @@ def haptics(ground, space, now_ns):
 
 
 def test_rates_cover_the_time_since_the_previous_line():
-    link, view = Link(), link_report.LinkView(SETUP, ENDS)
-    assert view.lines(link.collector, 0.0)[0].endswith("ground: starting")
+    link, shown = Link(), LinkLines()
+    assert shown.lines(link.report())[0].endswith("ground: starting")
     link.run(300)
-    assert "haptic 0.0" in view.lines(link.collector, 0.3)[0]
+    assert "haptic 0.0" in shown.lines(link.report())[0]
     link.run(250, haptics)
-    ground, space = view.lines(link.collector, 0.55)
+    ground, space = shown.lines(link.report())
     # 12 octets a millisecond; supervision took no slot.
     assert re.search(r"haptic 96\.0 tmtc 0\.0", ground)
     assert "haptic 0.0" in space
     assert "heard 550 frames, 0 lost, 2 slips" in space
     # A restarted gateway counts from 0.
+    link.collector.handle_exit("ground_gateway", "")
     link.ends[Segment.GROUND] = gateway(Segment.GROUND, link.now_ns)
     link.run(100, haptics)
-    assert "haptic 96.0" in view.lines(link.collector, 0.65)[0]
+    assert "haptic 96.0" in shown.lines(link.report())[0]
 
 
 def test_the_summary_shows_the_metrics_of_the_report():
@@ -109,8 +117,8 @@ def test_the_summary_shows_the_metrics_of_the_report():
         assert sum(report.link[direction].sender.octets.values()) == 400 * octets
     assert report.gateways["ground"].sockets.unknown_senders == {"radio": 4}
     assert report.failures == []
-    text = "\n".join(link_report.summary_lines(report))
-    assert "taskboard, 0.4 s, radio cable" in text
+    text = summary_of(report)
+    assert text.startswith("taskboard, 0.4 s   ") and "radio cable" in text.splitlines()[0]
     assert "uplink: 400 frames sent, 2 slips" in text
     ledgers = re.findall(r"of \d+ octets, in %: (.*)", text)
     assert len(ledgers) == 2
@@ -121,24 +129,23 @@ def test_the_summary_shows_the_metrics_of_the_report():
 
 
 def test_a_refusal_is_shown_with_its_reason_and_one_end_alone_reports_its_half():
-    link, view = Link(), link_report.LinkView(SETUP, ENDS)
+    link = Link()
     link.ends[Segment.SPACE] = gateway(Segment.SPACE, setup=BUILT_IN["spacejustin"])
     link.run(100)
-    for lines in (view.lines(link.collector, 0.1), link_report.summary_lines(link.report())):
+    for lines in (LinkLines().lines(link.report()), summary_of(link.report()).splitlines()):
         told = [line for line in lines if "refused (" in line]
         assert len(told) == len(ENDS)
         assert all("give both ends the same setup" in line for line in told)
     link = Link()
     link.run(100)
     del link.collector.processes["space_gateway"]
-    name, trouble = "ground_gateway", "it was started again"
-    fallen = ProcessNow(name=name, restarts=1, running=True, error="", trouble=trouble)
-    report = link.report([Segment.GROUND], [fallen])
+    fallen = {"restarts": 1, "trouble": "it was started again"}
+    report = link.report([Segment.GROUND], ground_gateway=fallen)
     assert list(report.gateways) == ["ground"]
     assert report.link["uplink"].sender.frames == 100
     assert report.link["uplink"].receiver.packets == {}
     assert report.link["downlink"].sender.frames == 0
-    text = "\n".join(link_report.summary_lines(report))
+    text = summary_of(report)
     assert "downlink received: 0 frames lost" in text
     assert "failed: ground_gateway: it was started again" in text
 

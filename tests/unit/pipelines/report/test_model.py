@@ -7,19 +7,18 @@ from enum import Enum
 
 import pytest
 import report_keys as keys
-from told import message
+from told import message, processes
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.metrics import marks_of
 from pipelines.recording.recorded_messages import RecordedFigure
 from pipelines.report.collector import Collector
+from pipelines.report.figures import figures_of
 from pipelines.report.model import SessionReport, to_builtins
-from pipelines.report.seat_metrics import SeatMetrics
 from pipelines.report.session_report import build_report
+from pipelines.report.upkeep_now import UpkeepNow
 from pipelines.session.session_metrics import TrainerMetrics
-from pipelines.session.session_switch import SessionSwitch
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
 
 SETUP = BUILT_IN["taskboard"]
@@ -59,14 +58,10 @@ def told(record):
     collector = Collector(topology_of(SETUP))
     for process in PROCESSES:
         collector.handle_message(process, message(record), NS_PER_S)
-    look = [ProcessNow(name=name, restarts=0, running=True, error="") for name in PROCESSES]
-    zeros = dict.fromkeys(PROCESSES, 0)
-    report = build_report(collector, seconds=1.0, cpu_s=zeros, restarts=zeros, launcher_cpu_s=0.0)
-    seats = SeatMetrics(collector)
-    switch = SessionSwitch()
-    seats.handle_look(look, switch=switch, started_ns=0, now_ns=NS_PER_S)
-    seat = seats.message(zeros, launcher_cpu_s=0.0, running_ns=NS_PER_S, now_ns=NS_PER_S)
-    return to_builtins(report), seat.figures
+    report = build_report(collector, seconds=1.0, processes=processes(PROCESSES), now_ns=NS_PER_S)
+    tables = to_builtins(report)
+    found = figures_of(tables, collector, UpkeepNow(collector), pass_s=0.0, now_ns=NS_PER_S)
+    return tables, found
 
 
 def parts_of(report):

@@ -4,7 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from told import gateway, message
+from told import gateway, message, processes
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.rtp.receiver import ReceiverCounts
@@ -18,8 +18,8 @@ from pipelines.report.session_report import build_report, failures
 from pipelines.report.silence import never_met, signal_ns, silences
 from pipelines.report.summary import first_line
 from pipelines.session.session_metrics import OutRow, ProbeMetrics, ShownRow
+from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Direction, Segment
 from pipelines.table import topology_of
 from telepresence.haptics.haptic_metrics import SamplesReceived, SamplesSent
 from telepresence.link.gateway import Gateway
@@ -58,8 +58,7 @@ def report_of(collector, seconds=5.0, parts=PARTS, restarts=2, **others):
     return build_report(
         collector,
         seconds=seconds,
-        cpu_s=dict.fromkeys(parts, 0.5),
-        restarts={**dict.fromkeys(parts, 0), "robot": restarts},
+        processes=processes(parts, 0.5, robot={"cpu_s": 0.5, "restarts": restarts}),
         launcher_cpu_s=1.0,
         **others,
     )

@@ -11,8 +11,8 @@ from pipelines.mission.mission_metrics import TaskMetrics
 from pipelines.report import upkeep_now
 from pipelines.report.collector import Collector
 from pipelines.seats.page_metrics import PageMetrics
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.envelope import Hold, SafetyMetrics
 from telepresence.haptics.haptic_metrics import JoystickMetrics

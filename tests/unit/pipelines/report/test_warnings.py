@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from told import gateway, message
+from told import gateway, message, processes
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.recording.recorder_metrics import RecordedChannel, RecorderMetrics
@@ -19,9 +19,8 @@ from pipelines.report.warnings import (
     restart_warning,
 )
 from pipelines.session.session_switch import NO_ROOM, SessionSwitch
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
-from pipelines.session.verdict import ProcessNow
 from pipelines.table import topology_of
 from telepresence.link.clock_exchange import ClockExchange
 from telepresence.link.peer_path import OpenPath
@@ -78,8 +77,9 @@ def test_a_coder_that_gave_up_its_priority_is_warned_of_and_told_once():
         for name in restarts:
             busy = scheduler if name == coder else "fifo"
             collector.handle_message(name, message(scheduler=busy), 1)
-        processes = [ProcessNow(name=name, restarts=0, running=True, error="") for name in restarts]
-        events.handle_look(processes, switch=SessionSwitch(), started_ns=0, now_ns=len(told))
+        events.handle_look(
+            processes(restarts), switch=SessionSwitch(), started_ns=0, now_ns=len(told)
+        )
         told.append([event.text for event in events.events])
     words = "takes more than half a core: it goes on without real-time priority"
     assert told == [[]] + 2 * [[f"{coder} {words}"]]

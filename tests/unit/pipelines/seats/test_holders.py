@@ -12,8 +12,8 @@ from kontur_av.errors import ProtocolError
 from pipelines.seats.holders import Given, HandGate, HandleAuthority, HandleState, OwnInputs
 from pipelines.seats.plan import seat_plan
 from pipelines.session.access import Role
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import PageInput
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary

@@ -19,9 +19,10 @@ from pipelines.seats.seat import MOST_ACTING, MOST_VIEWERS, PageRequest, Seat, S
 from pipelines.seats.texts import ExerciseRequest, RecordingRequest
 from pipelines.session.access import Role
 from pipelines.session.mission_messages import RobotStatus
+from pipelines.session.session_metrics import Event, SessionNews
 from pipelines.session.session_switch import Order
+from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Segment
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
@@ -86,8 +87,8 @@ class Room:
     def events(self):
         return list(iter(self.seat.next_event, None))
 
-    def give_unit(self, number, *, key=False, damaged=False, stream=0):
-        unit = CodedUnit(data=KEY if key else DELTA, key=key, damaged=damaged, width=64, height=48)
+    def give_unit(self, number, *, key=False, stream=0, **fields):
+        unit = CodedUnit(data=KEY if key else DELTA, key=key, width=64, height=48, **fields)
         stamp = CaptureStamp(number * NS_PER_MS, number, "uplink_video", rtp_timestamp=number)
         self.seat.media.handle_unit(stream, unit, stamp, number)
 
@@ -126,15 +127,22 @@ def test_a_page_is_told_first_where_it_is_and_what_it_sees(space, ground):
     assert [each["name"] for each in hello["inputs"]] == ["ground_mic"]
 
 
-def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest(space, ground):
+def test_who_joins_is_sent_a_key_picture_and_the_units_since_and_draws_only_the_newest(
+    space, ground
+):
     for number in range(4):
         space.give_unit(number, key=number == 0)
+    assert space.seat.media.poll_asks(0) == []
     page = space.open(Role.VIEWER)
-    assert page.units() == [(5, 0), (4, 1), (4, 2), (0, 3)]
-    space.give_unit(4, damaged=True)
-    assert page.units() == [(2, 4)]
-    space.give_unit(5, key=True)
-    assert page.units() == [(1, 5)]
+    assert space.seat.media.poll_asks(0) == space.seat.media.lanes
+    space.give_unit(4)
+    assert page.units() == []
+    space.give_unit(3, key=True, added=True)
+    assert page.units() == [(5, 3), (0, 4)]
+    space.give_unit(5, damaged=True)
+    assert page.units() == [(2, 5)]
+    space.give_unit(6, key=True)
+    assert page.units() == [(1, 6)]
 
     # Every page gets sound, haptics and previews.
     pages = [ground.open(Role.VIEWER, unread=False) for _ in range(2)]
@@ -147,49 +155,28 @@ def test_who_joins_is_sent_the_units_since_the_key_and_draws_only_the_newest(spa
 
 
 @pytest.mark.rule("4")
-def test_a_page_that_stalls_is_sent_a_replay_when_it_takes_again(space):
-    space.give_unit(0, key=True)
+def test_a_page_that_stalls_begins_with_a_key_picture_when_it_takes_again(space):
     slow, quick = (space.open(Role.VIEWER, unread=False) for _ in range(2))
+    space.give_unit(0, key=True)
+    assert quick.units() == [(1, 0)]
     for number in range(1, 61):
         space.give_unit(number)
         if number == 1:
             # It takes a message, and then no other.
-            assert units_of(space.seat.poll_transmit(slow.number)) == (0, 1)
+            assert units_of(space.seat.poll_transmit(slow.number)) == (1, 0)
         assert quick.units() == [(0, number)]
-    assert slow.units() == [(5, 0), *((4, number) for number in range(1, 60)), (0, 60)]
-    assert space.seat.left_out == 59
-    space.give_unit(61)
-    assert slow.units() == [(0, 61)]
-
-
-def test_without_a_beginning_a_decoded_picture_is_wanted_only_while_a_page_waits(space, ground):
     media = space.seat.media
-    space.give_unit(0, key=True)
-    space.give_unit(5)
-    assert media.wanted_pictures() == []
-    page = space.open(Role.VIEWER)
-    assert page.units() == []
-    assert media.wanted_pictures() == [0]
-    assert not media.handle_decoded(0, KEY, 4)
-    space.give_unit(6)
-    assert media.handle_decoded(0, KEY, 5)
-    assert media.wanted_pictures() == []
-    assert page.units() == [(5, 5), (0, 6)]
-
-    # So is what the selected camera films.
-    seat, media = ground.seat, ground.seat.media
-    (stream,) = [each.index for each in seat.plan.streams if each.filmed_topics]
-    ground.give_unit(0, key=True, stream=stream)
-    ground.give_unit(5, stream=stream)
-    seat.handle_camera("static", 0)
-    assert media.wanted_filmed(seat.camera) == {}
-    page = ground.open(Role.VIEWER)
-    assert media.wanted_filmed(seat.camera) == {stream: TOPOLOGY.camera("static").topic}
-    assert not media.handle_filmed(stream, KEY, 4)
-    assert media.handle_filmed(stream, KEY, 5)
-    assert media.wanted_filmed(seat.camera) == {}
-    ground.give_unit(6, stream=stream)
-    assert page.units()[-1] == (0, 6)
+    assert 0 not in media.poll_asks(0)
+    assert slow.units() == []
+    assert 0 in media.poll_asks(0)
+    space.give_unit(61)
+    space.give_unit(60, key=True, added=True)
+    assert slow.units() == [(5, 60), (0, 61)] and quick.units() == [(0, 61)]
+    assert space.seat.left_out == 60
+    # The key picture itself may be the newest that there is.
+    late = space.open(Role.VIEWER, unread=False)
+    space.give_unit(61, key=True, added=True)
+    assert late.units() == [(1, 61)]
 
 
 @pytest.mark.rule("10")
@@ -411,23 +398,20 @@ def test_the_heartbeat_comes_ten_times_a_second_and_at_each_change(space):
 
 
 def metrics(number, state="running", **values):
-    events = [{"number": number, "at_us": 1, "what": "link", "text": "x"}]
-    told = {"kind": "figures", "state": state, "figures": values, "events": events, "more": 1}
-    return json.dumps(told).encode()
+    events = [Event(number=number, at_us=1, what="link", text="x")]
+    return SessionNews(at_us=number, state=state, figures=values, events=events)
 
 
 def test_metrics_pass_unchanged_and_who_joins_gets_all_events(space):
     page = space.open(Role.VIEWER)
     assert page.texts("figures") == []
     for number in range(1, 251):
-        space.seat.handle_metrics(metrics(number, **{"processes.selector.selected": "head"}), 0)
+        space.seat.handle_session(metrics(number, **{"processes.selector.selected": "head"}), 0)
     newest = [each["events"][0]["number"] for each in page.texts("figures")]
     assert newest == list(range(243, 251))
     found = {text["kind"]: text for text in map(json.loads, space.open(Role.VIEWER).sent())}
     assert [each["number"] for each in found["figures"]["events"]] == list(range(51, 251))
-    assert (found["state"]["camera"], found["figures"]["more"]) == ("head", 1)
-    with pytest.raises(ProtocolError):
-        space.seat.handle_metrics(b"{}", 0)
+    assert (found["state"]["camera"], found["figures"]["at_us"]) == ("head", 250)
 
 
 def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_session_is_lost(
@@ -436,7 +420,7 @@ def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_sess
     page = ground.open(unread=False)
     for number, holder in enumerate((None, 4), 1):
         told = {"hand.holder": holder, "processes.selector.selected": "head"}
-        ground.seat.handle_metrics(metrics(number, **told), 0)
+        ground.seat.handle_session(metrics(number, **told), 0)
         # The camera is told by its own selector.
         assert ground.seat.camera != "head"
         ground.seat.handle_time(number * NS_PER_S)
@@ -446,7 +430,7 @@ def test_pages_see_who_holds_the_handle_at_the_other_end_and_that_a_stopped_sess
     cases = (("running", "connected", 1), ("running", "refused", 0), ("stopped", "connected", 0))
     for second, (state, told, connected) in enumerate(cases):
         link = {"gateways.space.supervision.state": told}
-        space.seat.handle_metrics(metrics(second + 1, state, **link), 0)
+        space.seat.handle_session(metrics(second + 1, state, **link), 0)
         space.seat.handle_time(second * NS_PER_S)
         assert page.texts("state")[-1]["link"] == ("connected" if connected else "lost")
 

@@ -11,7 +11,7 @@ import pytest
 
 from kontur_av.topics import session_files
 from kontur_av.topics.session_files import make_session_root, session_root
-from pipelines.hand.safety_ends import follow_stop
+from pipelines.hand.safety_ends import FollowedStop
 from pipelines.session import kept_files
 from pipelines.session.session_metrics import Event
 
@@ -94,13 +94,13 @@ def test_orders_without_room_are_unknown_and_older_ones_do_not_come_back(kept, m
     assert memory.read_bytes() == b""
     # Not even that: the process goes on.
     monkeypatch.setattr(Path, "write_bytes", full)
-    kept.keep("robot", Orders(on=False))
+    kept.keep("robot", Orders(on=True))
     session_files.remember(memory, b"iss")
 
 
 def test_a_stop_that_cannot_be_kept_holds_the_robot_and_is_tried_again(kept, monkeypatch):
     envelope = SimpleNamespace(stopped=True, stopped_by="a telecommand")
-    follow = follow_stop(kept, SimpleNamespace(envelope=envelope))
+    follow = FollowedStop(kept, envelope).follow
     with monkeypatch.context() as disk:
         disk.setattr(kept, "stop", full)
         for now_ns in range(3):

@@ -8,7 +8,7 @@ import pytest
 from kontur_av.clock import ManualClock
 from kontur_av.topics.session_files import shared_memory
 from pipelines.session import machine_checks
-from pipelines.session.topology import LOOP_PRIORITY
+from pipelines.session.topology.rows import LOOP_PRIORITY
 
 
 def test_another_system_is_missing_with_its_mend_and_the_timer_check_gives_the_lateness(

@@ -12,7 +12,7 @@ from pipelines.cli import make_parser
 from pipelines.session import served_pages
 from pipelines.session.options import stream_options
 from pipelines.session.served_pages import announced_pages, bound_pages, parse_page
-from pipelines.session.topology import SessionOptions
+from pipelines.session.topology.table import SessionOptions
 
 
 @contextmanager

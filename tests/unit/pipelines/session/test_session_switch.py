@@ -14,7 +14,7 @@ from pipelines.session.session_switch import (
     SessionSwitch,
     SwitchAction,
 )
-from pipelines.session.topology import Stage
+from pipelines.session.topology.rows import Stage
 
 START, END, KILL = SwitchAction.START, SwitchAction.END, SwitchAction.KILL
 

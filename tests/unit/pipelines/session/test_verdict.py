@@ -6,10 +6,11 @@ from random import Random
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.session_switch import NO_REASON
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import WATCHER_PRIORITY
-from pipelines.session.verdict import ObservedTime, ProcessHealth, ProcessNow, process_failures
+from pipelines.session.topology.rows import WATCHER_PRIORITY
+from pipelines.session.verdict import ObservedTime, ProcessHealth, process_failures
 from pipelines.table import topology_of
 
 ROWS = topology_of(BUILT_IN["spacejustin"], pages=True).processes
@@ -126,7 +127,7 @@ def test_one_that_was_killed_twice_is_late_or_is_not_to_run_has_not_failed():
     # One that hung for long has failed, even if it goes on.
     health.handle_report(99 * NS_PER_S)
     words = health.trouble(99 * NS_PER_S, **capabilities, wanted=False)
-    now = ProcessNow(name="files", restarts=0, running=True, error="", trouble=words)
+    now = ProcessNow(name="files", trouble=words)
     assert process_failures([now]) == [f"files: {words}"] and "it hangs" in words
 
 

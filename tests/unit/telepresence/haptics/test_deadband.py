@@ -139,13 +139,11 @@ def test_a_sample_left_out_does_not_count_as_lost():
     for k, (robot, joystick, _) in enumerate(linked(3000, felt)):  # noqa: B007
         latest = joystick.latest(k * NS_PER_MS + NS_PER_MS // 2)
         # Greetings come first.
-        assert k < 5 or latest.contact == (push_n(k) > 0)
+        assert k < 5 or (joystick.hearing and latest.contact == (push_n(k) > 0))
     report, told = joystick.received_metrics(), robot.sent_metrics()
     assert report.received == told.sent < 600
     assert report.lost == report.late == report.restarts == report.garbage == 0
     assert told.left_out + told.sent + report.greetings + report.echoes == 3000
-    events = list(iter(joystick.next_event, None))
-    assert len(events) == 1, "found once, never lost"
     matcher = LatencyMatcher()
     matcher.handle_sent(robot.take_sent_stamps())
     matcher.handle_received(joystick.take_received_stamps())

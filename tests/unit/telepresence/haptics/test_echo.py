@@ -34,7 +34,7 @@ def test_no_command_is_older_than_the_probes_say(number):
             _, newest_ms, answer = back.popleft()
             if answer is not None:
                 heard = True
-                probe.handle_answer(answer, now_ms * MS)
+                probe.handle_echo(Echo(answer), now_ms * MS)
         if heard:
             # Two intervals of the probes later it knows of any delay.
             assert now_ms - newest_ms <= probe.age_ns(now_ms * MS) / MS + 201, number

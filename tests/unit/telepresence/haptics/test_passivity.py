@@ -176,8 +176,12 @@ class Ends:
             self.tip[axis] += tip[axis] * 1e-3
         self.joystick_side.step(self.space.latest(now_ns), hand[0], hand[1], MS)
         self.robot_side.step(self.ground.latest(now_ns), *self.tip, *tip, MS)
-        self.space.handle_local(Command(hand[0], hand[1], self.joystick_side.granted_uj), now_ns)
-        self.ground.handle_local(Feedback(*self.push, self.robot_side.granted_uj, True), now_ns)
+        self.space.handle_local(
+            Command(hand[0], hand[1], self.joystick_side.port.granted_uj), now_ns
+        )
+        self.ground.handle_local(
+            Feedback(*self.push, self.robot_side.port.granted_uj, True), now_ns
+        )
         for to, link in ((1, self.space), (0, self.ground)):
             data = link.poll_transmit(now_ns)
             if self.random() >= loss:

@@ -48,7 +48,7 @@ def test_a_blocked_reference_pulls_only_with_its_spring():
     force = side.step(Command(-0.05, 0.1, 0), -0.05, -0.02, 0.0, 0.0, MS)
     assert force == pytest.approx((30.0, 20.0))
     assert (side.reference_x_m, side.reference_y_m) == (0.0, 0.0)
-    assert (side.energy_out_uj, side.energy_in_uj) == (0, 0)
+    assert (side.port.out_j, side.port.in_j) == (0, 0)
 
 
 @pytest.mark.rule("S9")
@@ -65,7 +65,7 @@ def test_without_energy_the_reference_stays_and_an_observer_only_counts():
         for side in (watched, held):
             side.step(Command(1e-4 * k, 0.0, 0), 0.0, 0.0, 0.0, 0.0, MS)
     assert watched.credit_uj < -10_000
-    assert watched.least_observed_uj == watched.credit_uj and watched.acted == 0
+    assert watched.port.least_j == watched.port.credit_j and watched.acted == 0
     assert held.reference_x_m == 0.0 and held.acted > 150
 
 
@@ -107,7 +107,7 @@ def test_what_it_does_not_need_goes_to_an_end_that_lacks_and_in_contact_is_lost(
         side.port.credit_j = 0.1
         for _ in range(3000):
             side.step(Command(0.0, 0.0, 0, acted=acted), 0.0, 0.0, 0.0, 0.0, MS, touching=touching)
-        return side.granted_uj * 1e-6, side.port.credit_j
+        return side.port.granted_uj * 1e-6, side.port.credit_j
 
     spare_j = RobotControllerModel().spare_j
     assert granted(False, False) == (0, pytest.approx(0.1))

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from joystick_scripts import REST, STICK, play
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.device.calibration import calibrate
 from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.handle import OperatedHandle
-from telepresence.haptics.device.operation import JoystickOperation, calibrate
+from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.simulated import CAPABILITIES, FAULTS, SimulatedDevice
 from telepresence.haptics.device.states import REQUESTS, JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits

@@ -2,8 +2,8 @@
 
 import pytest
 
+from pipelines.session.setup.segments import Direction
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.topology import Direction
 from pipelines.table import topology_of
 from telepresence.link.receiver import LinkReceiver
 from telepresence.link.sender import LinkSender
