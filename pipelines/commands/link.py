@@ -26,9 +26,8 @@ from pipelines.table import topology_of
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_session_options(parser, "setup!", "radio", "radio_start", "seed", "seconds", "report")
-    add_session_options(
-        parser, "base_port", "end", "listen", "peer", "key", "identity", "insecure", "quiet"
-    )
+    add_session_options(parser, "base_port", "end", "listen", "peer", "key", "identity", "insecure")
+    add_session_options(parser, "path", "path_batch_ms", "quiet")
     add_options(
         parser,
         "--apps HOST  where the programs run, if not here",

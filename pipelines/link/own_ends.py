@@ -4,28 +4,35 @@ import argparse
 import ipaddress
 import secrets
 import socket
+import threading
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.session.datagrams import (
     LOOPBACK,
     Address,
     EndAddresses,
+    family_of,
+    host_port,
     is_loopback,
     listen,
     obstacle,
     parse_address,
     reaches,
     resolve,
+    split_address,
 )
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import StreamOptions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.table import Topology
-from telepresence.link.link_metrics import PeerMetrics
+from telepresence.link.link_metrics import PeerMetrics, address_text
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
@@ -53,22 +60,29 @@ class PeerPlan:
     """How the only end here reaches the other: it listens at `bind`, or calls `peer`.
 
     segment: of the end. bind: local address; port 0 for any. peer: None for an end that waits to be
-    called. protection: None for a path in the clear.
+    called. host: its name, if it was given by name. protection: None for a path in the clear.
+    batch_ms, compact: how frames go in datagrams.
     """
 
     segment: Segment
     bind: Address
     peer: Address | None
     protection: Protection | None
+    host: str | None = None
+    batch_ms: int = 1
+    compact: bool = False
 
 
-def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
-    """Return the core of the path. receive: the profile of the way in."""
+def make_path(
+    plan: PeerPlan, transmit: LinkProfile, receive: LinkProfile, now_ns: int
+) -> "PeerPath":
+    """Return the core of the path. transmit, receive: the profiles of the ways out and in."""
     protection = plan.protection
     if protection is None:
         from telepresence.link.peer_path import OpenPath
 
         return OpenPath(receive, address=plan.peer, now_ns=now_ns)
+    from telepresence.link.path.bundles import Bundling
     from telepresence.link.peer_path import ProtectedPath
 
     return ProtectedPath(
@@ -77,6 +91,9 @@ def make_path(plan: PeerPlan, receive: LinkProfile, now_ns: int) -> "PeerPath":
         secret=secrets.token_bytes(_SECRET_OCTETS),
         address=plan.peer,
         now_ns=now_ns,
+        bundling=Bundling(
+            transmit, receive, plan.batch_ms * NS_PER_MS // transmit.slot_ns, plan.compact
+        ),
     )
 
 
@@ -86,22 +103,34 @@ class PeerSocket:
     failed, why: datagrams that the system refused, and its reason for the newest.
     """
 
-    def __init__(self, path: "PeerPath", bind: Address, clock_ns: Callable[[], int]) -> None:
-        self.udp = listen(bind)
+    def __init__(self, path: "PeerPath", plan: PeerPlan, clock_ns: Callable[[], int]) -> None:
+        from telepresence.link.peer_path import LookupSchedule
+
+        self.udp = listen(plan.bind)
+        self._version_6 = self.udp.family == socket.AF_INET6
+        self._plan, self._lookups = plan, LookupSchedule()
+        self._looking = threading.Thread()
+        self._found: deque[Address] = deque()
         self.failed, self.why = 0, ""
         self._path = path
         self._clock_ns = clock_ns
-        self._take = path.handle_datagram
+        self._take, self._next = path.handle_datagram, path.next_frame
         self._seal = path.seal
         self._receive_from, self._send_to = self.udp.recvfrom, self.udp.sendto
 
     def frame(self) -> bytes | None:
-        """Take one datagram; return the peer's frame, if it has one."""
+        """Take one datagram; return the peer's next frame, or None."""
         try:
             datagram, source = self._receive_from(_MOST_OCTETS)
         except OSError:
-            return None
+            return self._next(self._clock_ns())
+        if self._version_6:
+            source = host_port(source)
         return self._take(datagram, source, self._clock_ns())
+
+    def next_frame(self) -> bytes | None:
+        """Return the peer's next frame, without taking a datagram."""
+        return self._next(self._clock_ns())
 
     def send(self, frame: bytes) -> None:
         sealed = self._seal(frame, self._clock_ns())
@@ -132,11 +161,32 @@ class PeerSocket:
         return worked
 
     def report(self) -> PeerMetrics:
-        """What is known of the path."""
-        return self._path.report(self._clock_ns())
+        """What is known of the path. Call it regularly: it has a silent peer's name looked up."""
+        now_ns, path = self._clock_ns(), self._path
+        if (
+            self._plan.host is not None
+            and not self._looking.is_alive()
+            and self._lookups.poll(path.heard_ns, now_ns)
+        ):
+            # It may take half a minute, and the loop has a millisecond.
+            self._looking = threading.Thread(target=self._look_up, daemon=True)
+            self._looking.start()
+        while self._found:
+            path.handle_address(self._found.popleft(), now_ns)
+        return path.report(now_ns)
+
+    def _look_up(self) -> None:
+        plan = self._plan
+        if plan.host is None or plan.peer is None:
+            return
+        with suppress(OSError, UnicodeError):
+            known = socket.getaddrinfo(plan.host, plan.peer[1], self.udp.family, socket.SOCK_DGRAM)
+            self._found.append(host_port(known[0][4]))
 
 
-_ANY = "0.0.0.0"
+#: Slots of which the frames go in one datagram.
+BATCHES_MS = (1, 2, 4)
+_ANY, _ANY_6 = "0.0.0.0", "::"
 #: What stays visible as long as an end runs with `--insecure`.
 INSECURE = "this path is not protected: anybody on it can read, change and steer"
 
@@ -145,11 +195,23 @@ def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
     """The end that the options name; None: both run here. ConfigError if it cannot work."""
     if args.end is None:
         why = " is for one end alone: add --end ground or --end space"
-        refuse_options(args, why, "listen", "peer", "key", "identity", "insecure")
+        names = ("listen", "peer", "key", "identity", "insecure", "path_batch_ms", "path")
+        refuse_options(args, why, *names)
         return None
+    batch_ms = 1 if args.path_batch_ms is None else args.path_batch_ms
+    if batch_ms not in BATCHES_MS:
+        raise ConfigError(f"--path-batch-ms {batch_ms}: take 1, 2 or 4")
     segment = Segment(args.end)
-    bind, peer = _addresses(args, topology)
-    return PeerPlan(segment=segment, bind=bind, peer=peer, protection=_protection(args))
+    bind, peer, host = _addresses(args, topology)
+    return PeerPlan(
+        segment=segment,
+        bind=bind,
+        peer=peer,
+        host=host,
+        protection=_protection(args),
+        batch_ms=batch_ms,
+        compact=args.path == "compact",
+    )
 
 
 def hold_listen_port(plan: PeerPlan) -> None:
@@ -161,9 +223,9 @@ def hold_listen_port(plan: PeerPlan) -> None:
 def path_line(plan: PeerPlan) -> str:
     """How this end reaches the other, in one line for people."""
     where = (
-        f"listens at {plan.bind[0]}:{plan.bind[1]}"
+        f"listens at {address_text(plan.bind)}"
         if plan.peer is None
-        else f"calls {plan.peer[0]}:{plan.peer[1]}"
+        else f"calls {address_text(plan.peer)}"
     )
     protection = plan.protection
     if protection is None:
@@ -171,25 +233,44 @@ def path_line(plan: PeerPlan) -> str:
     return f"{plan.segment.value} end {where}; it trusts {protection.peer} only"
 
 
-def _addresses(args: StreamOptions, topology: Topology) -> tuple[Address, Address | None]:
+def _addresses(
+    args: StreamOptions, topology: Topology
+) -> tuple[Address, Address | None, str | None]:
+    """Where this end is, where the other one, and by which name."""
     if args.listen is not None:
-        return _listen_address(args.listen, topology), None
+        return _listen_address(args.listen, topology), None, None
     if args.peer is None:
         raise ConfigError(
             f"--end {args.end} needs --listen ADDR:PORT to wait for the other end, "
             "or --peer HOST:PORT to call it"
         )
-    peer = parse_address(args.peer, "--peer", socket.AF_INET)
+    peer = _resolved(args.peer, "--peer")
     check_one_machine("--peer", args.peer, peer[0])
-    why = obstacle(_ANY, peer)
+    bind = _ANY_6 if family_of(peer[0]) == socket.AF_INET6 else _ANY
+    why = obstacle(bind, peer)
     if why is not None:
         raise ConfigError(f"--peer {args.peer} cannot be reached from here: {why}")
-    return (_ANY, 0), peer
+    host, _ = split_address(args.peer, "--peer")
+    return (bind, 0), peer, None if _is_numeric(host) else host
+
+
+def _resolved(text: str, option: str) -> Address:
+    """The address of HOST:PORT: the one of IPv4, if it has both."""
+    try:
+        return parse_address(text, option, socket.AF_INET)
+    except ConfigError:
+        return parse_address(text, option)
+
+
+def _is_numeric(host: str) -> bool:
+    with suppress(ValueError):
+        return bool(ipaddress.ip_address(host))
+    return False
 
 
 def _listen_address(text: str, topology: Topology) -> Address:
-    listen = parse_address(text, "--listen", socket.AF_INET)
-    if listen[0] != _ANY:
+    listen = _resolved(text, "--listen")
+    if listen[0] not in (_ANY, _ANY_6):
         check_one_machine("--listen", text, listen[0])
     # Nobody uses the radio's ports here, because the radio is between two machines.
     radio = [topology.radio_port(segment) for segment in Segment]
@@ -203,8 +284,8 @@ def _listen_address(text: str, topology: Topology) -> Address:
 
 
 def check_one_machine(option: str, text: str, address: str) -> None:
-    """ConfigError for the IPv4 address of no machine, or of many."""
-    host = ipaddress.IPv4Address(address)
+    """ConfigError for the address of no machine, or of many."""
+    host = ipaddress.ip_address(address)
     if host.is_unspecified or host.is_multicast:
         raise ConfigError(f"{option} {text}: give the address of one machine")
 

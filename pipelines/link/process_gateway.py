@@ -258,8 +258,9 @@ def run_gateway(
     )
     path = None
     if peer is not None:
-        core = make_path(peer, end.gateway.receiver.profile, clock.now_ns())
-        path = PeerSocket(core, peer.bind, clock.now_ns)
+        way_out, way_in = end.gateway.sender.profile, end.gateway.receiver.profile
+        core = make_path(peer, way_out, way_in, clock.now_ns())
+        path = PeerSocket(core, peer, clock.now_ns)
     session = context.session if publish_backlog else None
     ports = GatewayPorts(topology, segment, end.gateway, addresses, path, session)
     loop = _GatewayLoop(context, end, ports, path)
@@ -328,11 +329,13 @@ class _GatewayLoop:
             alarm_ns = poll_timeout()
 
     def _fetch_frame(self, now_ns: int) -> None:
-        # One frame a time: a second one is rare, and asking for it costs a system call.
-        frame = self._ports.frame()
+        # One datagram a time: a second one is rare, and asking for it costs a system call.
+        frame, path = self._ports.frame(), self._path
         if frame is None:
             return
         self._end.handle_frame(frame, now_ns)
+        while path is not None and (frame := path.next_frame()) is not None:
+            self._end.handle_frame(frame, now_ns)
         self._deliver()
         slots = self._slots
         if now_ns >= slots.metrics_ns and slots.poll_metrics(now_ns, heard=True):
@@ -383,6 +386,9 @@ class _GatewayLoop:
         refused = ports.to_peer.failed
         probe.publish(SocketMetrics(unsent=refused, unknown_senders=ports.unknown_senders()))
         self._end.handle_refused(refused, ports.to_peer.why, now_ns)
-        metrics = self._end.publish(now_ns, None if self._path is None else self._path.report())
+        path = None if self._path is None else self._path.report()
+        if path is not None:
+            self._end.gateway.repair.set_compact(path.compact)
+        metrics = self._end.publish(now_ns, path)
         if self.topics is not None:
             self.topics.handle_metrics(metrics, now_ns)

@@ -14,6 +14,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from kontur_av.errors import ConfigError, refused
 from kontur_av.topics.session_files import make_session_root, session_root
@@ -54,7 +55,7 @@ def resolve(
         raise ConfigError(
             f"{option} {text!r}: no {version}host is known by the name {host!r}"
         ) from None
-    return str(found[0][4][0])
+    return host_port(found[0][4])[0]
 
 
 def bound_socket(kind: socket.SocketKind, address: tuple[str, int], said: str) -> socket.socket:
@@ -134,7 +135,7 @@ class Outlet:
 
 def listen(bind: Address) -> socket.socket:
     """Open a UDP socket on `bind` that never blocks."""
-    udp = _socket()
+    udp = _socket(family_of(bind[0]))
     udp.bind(bind)
     return udp
 
@@ -301,7 +302,7 @@ def is_loopback(host: str) -> bool:
 
 def reaches(peer: Address) -> str | None:
     """Return this machine's address on the route to `peer`; None without a route."""
-    with _socket() as udp, suppress(OSError):
+    with _socket(family_of(peer[0])) as udp, suppress(OSError):
         udp.connect(peer)
         return str(udp.getsockname()[0])
     return None
@@ -312,7 +313,7 @@ def obstacle(bind: str, peer: Address) -> str | None:
 
     The text is the kernel's. It does not check that `bind` is an address of this machine.
     """
-    with _socket() as udp:
+    with _socket(family_of(peer[0])) as udp:
         with suppress(OSError):
             udp.bind((bind, 0))
         try:
@@ -322,7 +323,18 @@ def obstacle(bind: str, peer: Address) -> str | None:
     return None
 
 
-def _socket() -> socket.socket:
-    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+def family_of(host: str) -> socket.AddressFamily:
+    """The version of IP of a numeric address."""
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
+
+
+def host_port(address: tuple[Any, ...]) -> Address:
+    """Return host and port of what `socket` gives as an address; a link-local one has its zone."""
+    zone = f"%{address[3]}" if len(address) > 3 and address[3] else ""
+    return f"{address[0]}{zone}", address[1]
+
+
+def _socket(family: socket.AddressFamily = socket.AF_INET) -> socket.socket:
+    udp = socket.socket(family, socket.SOCK_DGRAM)
     udp.setblocking(False)
     return udp

@@ -26,7 +26,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.returned import PartError
 from pipelines.session import session_switch
 from pipelines.session.command_process import ENDING, handled
-from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS
+from pipelines.session.datagrams import LOOPBACK, OWN_SENDERS, family_of
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.page_sockets import PageListener
 from pipelines.session.probe import Message
@@ -530,7 +530,7 @@ def hold_ports(topology: Topology) -> socket.socket:
 
 def hold_port(port: int, address: str = LOOPBACK) -> socket.socket:
     """Return a socket that holds the UDP port while it is open; ConfigError if it is busy."""
-    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp = socket.socket(family_of(address), socket.SOCK_DGRAM)
     try:
         udp.bind((address, port))
     except OSError as error:

@@ -128,7 +128,8 @@ class StreamOptions:
         "*run this end alone; the other runs on another machine"
     )
     listen: str | None = _radio(
-        "*ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 is every address",
+        "*ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0, or [::], is "
+        "every address",
         rivals=("peer",),
     )
     peer: str | None = _radio(
@@ -147,7 +148,16 @@ class StreamOptions:
     insecure: bool = _radio(
         "with --end: neither encrypt nor authenticate; on a private network only",
         False,
-        rivals=("key", "identity"),
+        rivals=("key", "identity", "path_batch_ms", "path"),
+    )
+    path: Literal["slots", "compact"] | None = _radio(
+        "with --end: one length of datagram for every slot (slots, the default), or leave out what "
+        "is idle (compact), which shows an eavesdropper how much is sent",
+        rivals=("insecure",),
+    )
+    path_batch_ms: int | None = _radio(
+        "MS  with --end: send the frames of 1 (the default), 2 or 4 ms in one datagram",
+        rivals=("insecure",),
     )
     bypass: bool = _radio(
         "for tests, with both ends here: join the programs directly, past gateways and radio", False

@@ -46,7 +46,8 @@ class QueueMetrics:
 class RepairSentMetrics:
     """What a sender does so that the other end can restore lost frames."""
 
-    #: `off`, `idle`: in idle slots, or `reserve`: also in slots that are kept for it.
+    #: `off`, `idle`: in idle slots, `reserve`: also in slots that are kept for it, or `waiting`: in
+    #: neither until losses are reported, because the path leaves out what is idle.
     mode: str
     #: The reason for it.
     why: str
@@ -329,13 +330,26 @@ class PeerMetrics:
     handshake_datagrams: int = 0
     #: Dropped datagrams by reason: `unknown`, or those of docs/security.md.
     dropped: Mapping[str, int]
+    #: Octets of the datagrams sent that have frames, with UDP and IP.
+    octets_sent: int = 0
+    #: Whether a datagram may have several frames on the way out.
+    bundled: Newest[bool] = False
+    #: Whether idle octets are left out on the way out.
+    compact: Newest[bool] = False
+    #: How long frames wait now for one before them that is missing; 0 where none overtake.
+    order_budget_ns: Newest[int] = 0
+    #: Frames that others had overtaken, and that were put back in order.
+    frames_put_back: int = 0
+    #: Frames that came too late for that.
+    frames_too_late: int = 0
     #: The newest 50.
     events: tuple[PeerEvent, ...]
 
 
 def address_text(address: Address) -> str:
-    """HOST:PORT."""
-    return f"{address[0]}:{address[1]}"
+    """HOST:PORT, or [IPv6]:PORT."""
+    host, port = address
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 @dataclass(slots=True)

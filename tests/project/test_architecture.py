@@ -57,7 +57,7 @@ SHELLS = {
     "pipelines/hand": (
         "device_check driver_checks haptic_loop partner_arm process_ends safety_ends timed_calls"
     ),
-    "pipelines/link": "key_files own_ends process_gateway",
+    "pipelines/link": "key_files own_ends process_gateway relay",
     "pipelines/media": (
         "coded_topics input_devices key_picture_maker process_receive process_send sending"
     ),

@@ -3,6 +3,8 @@
 import contextlib
 import os
 import signal
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -16,10 +18,12 @@ from running_link import (
 )
 
 from pipelines.link.key_files import make_key, trust
+from pipelines.link.relay import PathRelay
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
+from telepresence.link.path.network import NetworkConditions, NetworkPath
 
 SPACEJUSTIN = BUILT_IN["spacejustin"]
 FLOWS = [row.flow for row in topology_of(SPACEJUSTIN).streams if row.flow is not None]
@@ -171,6 +175,38 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
     for end in (ground, space):
         secret = Path(keys(end.name)).read_text().splitlines()[1]
         assert secret not in end.output() + end.report_path.read_text()
+
+
+def test_two_ends_over_a_network_that_loses_and_reorders(start, program, keys):
+    base = free_base_port()
+    bad = NetworkConditions(
+        delay_ns=5_000_000, loss=0.01, reordered=0.05, reorder_ns=4_000_000, repeated=0.01
+    )
+    ways = (NetworkPath(bad, 1), NetworkPath(bad, 2))
+    relay, stop = PathRelay(("127.0.0.1", base), *ways, time.monotonic_ns), threading.Event()
+    thread = threading.Thread(target=relay.run, args=(stop.is_set,), daemon=True)
+    thread.start()
+    options = ("--setup", "taskboard", "--path", "compact", "--path-batch-ms", "2")
+    named = (("space", "--peer", relay.address[1]), ("ground", "--listen", base))
+    ends = {
+        name: start(
+            *(*options, "--end", name, "--key", keys(name), option, f"127.0.0.1:{port}"),
+            base_port=base + PORTS * (name == "space"),
+            name=name,
+        )
+        for name, option, port in named
+    }
+    up = program(ends["space"].topology.exit_port("uplink_maintenance"))
+    entry = ends["ground"].topology.entry_port("uplink_maintenance")
+    until_through(program(0), ("127.0.0.1", entry), up, b"up")
+    time.sleep(2)
+    for name, end in ends.items():
+        code, report = end.interrupt()
+        assert code == 0, end.output()
+        path = report["gateways"][name]["peer"]
+        assert path["bundled"] and path["compact"] and path["frames_put_back"] > 0
+    stop.set()
+    thread.join()
 
 
 def test_a_killed_gateway_is_restarted_and_reported(start, program):

@@ -3,6 +3,8 @@
 OpenSSL does the handshake (RFC 8446), through pyOpenSSL. Both ends show a self-made certificate.
 Each accepts only the public key of the identity that it pinned, and looks at nothing else in it.
 The keys of the records are exported (RFC 8446 section 7.5, RFC 5705). TLS itself carries no data.
+What both ends can read beside records of one frame is negotiated as a protocol (ALPN, RFC 7301): an
+end that knows nothing of it agrees to none.
 """
 
 from typing import NamedTuple
@@ -22,22 +24,27 @@ from telepresence.link.protection.identity import MachineIdentity, MachineKey
 #: RFC 5705 section 4: labels outside the registry begin so.
 _LABEL = b"EXPERIMENTAL kontur-av link 1"
 _READ_OCTETS = 16384
+#: What an end can read: records with several frames, and without what is idle.
+READS_PACKED, READS_COMPACT = 1, 2
+READS_ALL = READS_PACKED | READS_COMPACT
+_PROTOCOLS = {b"kontur path %d" % reads: reads for reads in range(READS_ALL, 0, -1)}
 #: RFC 8446 section 5.1 and 5.2: the header, and the most that may follow.
 _HEADER_OCTETS = 5
 _MOST_OCTETS = 2**14 + 256
 
 
 class AgreedKeys(NamedTuple):
-    """The keys of one session, as one end uses them."""
+    """The keys of one session, as one end uses them. reads: what both ends can read."""
 
     send: DirectionKeys
     receive: DirectionKeys
+    reads: int = 0
 
 
 class Agreement:
-    """What all handshakes of one end with one peer share."""
+    """What all handshakes of one end with one peer share. reads: what this end can read."""
 
-    def __init__(self, key: MachineKey, peer: MachineIdentity) -> None:
+    def __init__(self, key: MachineKey, peer: MachineIdentity, reads: int = 0) -> None:
         #: One end is the client always, so no message has to say which.
         self.client = key.identity.digest < peer.digest
         self._peer = peer
@@ -51,6 +58,11 @@ class Agreement:
         context.set_verify(SSL.VERIFY_PEER | SSL.VERIFY_FAIL_IF_NO_PEER_CERT, self._is_pinned)
         context.use_certificate(key.certificate())
         context.use_privatekey(key.private)
+        # Every subset is offered, so the largest common one is what both can read.
+        self._protocols = [name for name, bits in _PROTOCOLS.items() if bits & reads == bits]
+        if self._protocols:
+            context.set_alpn_protos(self._protocols)
+            context.set_alpn_select_callback(self._choose)
         self._context = context
 
     def begin(self) -> "AgreementRun":
@@ -61,6 +73,12 @@ class Agreement:
         else:
             connection.set_accept_state()
         return AgreementRun(connection, client=self.client)
+
+    def _choose(
+        self, connection: SSL.Connection, offered: list[bytes]
+    ) -> bytes | SSL._NoOverlappingProtocols:
+        common = (name for name in self._protocols if name in offered)
+        return next(common, SSL.NO_OVERLAPPING_PROTOCOLS)
 
     def _is_pinned(
         self, connection: SSL.Connection, shown: crypto.X509, error: int, depth: int, ok: int
@@ -139,7 +157,9 @@ class AgreementRun:
             DirectionKeys(number, part[:KEY_OCTETS], part[KEY_OCTETS:])
             for part in (both[:DIRECTION_OCTETS], both[DIRECTION_OCTETS:])
         )
-        return AgreedKeys(client, server) if self._client else AgreedKeys(server, client)
+        reads = _PROTOCOLS.get(self._connection.get_alpn_proto_negotiated(), 0)
+        send, receive = (client, server) if self._client else (server, client)
+        return AgreedKeys(send, receive, reads)
 
     def _record_octets(self) -> int:
         """The size of the record that waits; 0: unknown so far."""

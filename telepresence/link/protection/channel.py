@@ -20,9 +20,11 @@ from telepresence.link.protection.datagrams import (
     KNOCK,
     OVERHEAD_OCTETS,
     RECORD,
+    RECORDS,
     RecordOpener,
     RecordSealer,
     key_number,
+    sequence_number,
 )
 from telepresence.link.protection.handshake import Address, AttemptFailed, Handshake, KeysAgreed
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
@@ -89,7 +91,10 @@ class ProtectedChannel:
     secret: 32 octets that nobody else knows, drawn anew at each start.
     address: where the peer is; None for an end that waits to be called.
     now_ns: the instant of the start.
+    reads: what this end can read, as of `Agreement`.
+    peer_reads: what both ends can, in this session.
     peer_address: where frames go; None as long as it is unknown.
+    place: of the newest record opened: number of its keys, which grows, and sequence number.
     """
 
     def __init__(
@@ -102,21 +107,25 @@ class ProtectedChannel:
         now_ns: int,
         rekey_ns: int = REKEY_NS,
         rekey_records: int = REKEY_RECORDS,
+        reads: int = 0,
     ) -> None:
         self.metrics = ProtectionMetrics()
         self.peer_address = address
+        self.place = (0, 0)
         self._given_address = address
         self._rekey_ns = rekey_ns
         self._rekey_records = rekey_records
-        self._handshake = Handshake(key, peer, secret)
+        self._handshake = Handshake(key, peer, secret, reads)
         self._sealer: RecordSealer | None = None
         #: Agreed, but the peer may not have the keys yet.
         self._next_sealer: RecordSealer | None = None
+        self.peer_reads = self._next_reads = 0
         #: Newest first: the newest, those before them, and those in use if they are older still.
         self._openers: list[_Opener] = []
         self._forget_ns: int | None = None
         self._rekey_due_ns = 0
-        self._heard_ns = now_ns
+        #: The newest genuine record, or the start.
+        self.heard_ns = now_ns
         self._queue: deque[tuple[bytes, Address]] = deque()
         self._events: deque[ChannelEvent] = deque()
         self._handshake.want(now_ns)
@@ -126,14 +135,17 @@ class ProtectedChannel:
     def protected(self) -> bool:
         return self._sealer is not None
 
-    def seal(self, frame: bytes, now_ns: int) -> bytes | None:
-        """Return the datagram of a frame, for `peer_address`; None without a session or address."""
+    def seal(self, frame: bytes, now_ns: int, kind: int = RECORD) -> bytes | None:
+        """Return the datagram of a frame, for `peer_address`; None without a session or address.
+
+        kind: of another content than a frame, which `peer_reads` allows.
+        """
         sealer = self._sealer
         if sealer is None or self.peer_address is None:
             self.metrics.unsent += 1
             return None
         try:
-            datagram = sealer.seal(frame)
+            datagram = sealer.seal(frame, kind)
         except OverflowError:
             self._sealer = None
             self.metrics.unsent += 1
@@ -146,7 +158,7 @@ class ProtectedChannel:
     def handle_datagram(self, datagram: bytes, source: Address, now_ns: int) -> bytes | None:
         """Return the frame in a datagram; None for one of a handshake, and for a dropped one."""
         kind = datagram[0] if datagram else 0
-        if kind == RECORD:
+        if kind in RECORDS:
             opened = self._open(datagram, source, now_ns)
             if not isinstance(opened, str):
                 self.metrics.opened += 1
@@ -164,6 +176,12 @@ class ProtectedChannel:
         self._drain(now_ns)
         return None
 
+    def handle_address(self, address: Address) -> None:
+        """The peer may be at another address: it is asked there, too."""
+        self._given_address = address
+        if self._sealer is None:
+            self.peer_address = address
+
     def handle_timeout(self, now_ns: int) -> None:
         """Renew keys, ask a silent peer, and repeat what a handshake has lost."""
         if self._forget_ns is not None and now_ns >= self._forget_ns:
@@ -171,7 +189,7 @@ class ProtectedChannel:
             self._forget_ns = None
         self._handshake.handle_timeout(now_ns)
         self._drain(now_ns)
-        if self._sealer is None or now_ns >= min(self._rekey_due_ns, self._heard_ns + SILENCE_NS):
+        if self._sealer is None or now_ns >= min(self._rekey_due_ns, self.heard_ns + SILENCE_NS):
             self._handshake.want(now_ns)
             self._handshake.handle_timeout(now_ns)
         self._drain(now_ns)
@@ -181,7 +199,7 @@ class ProtectedChannel:
         instants = [self._handshake.poll_timeout(), self._forget_ns]
         if not self._handshake.asking:
             # Without a session all but the first is in the past: ask at once.
-            instants += [self._rekey_due_ns, self._heard_ns + SILENCE_NS]
+            instants += [self._rekey_due_ns, self.heard_ns + SILENCE_NS]
         return min((instant for instant in instants if instant is not None), default=None)
 
     def poll_transmit(self) -> tuple[bytes, Address] | None:
@@ -203,6 +221,7 @@ class ProtectedChannel:
             before = opener.records.newest
             frame = opener.records.open(datagram)
             if not isinstance(frame, str):
+                self.place = opener.agreed, sequence_number(datagram)
                 self._handle_genuine(place, now_ns)
                 # Not for a record that was overtaken: it may come from where the peer was before.
                 if opener.records.newest > before and place <= self._newest_used():
@@ -215,7 +234,7 @@ class ProtectedChannel:
         return reason
 
     def _handle_genuine(self, place: int, now_ns: int) -> None:
-        self._heard_ns = now_ns
+        self.heard_ns = now_ns
         opener = self._openers[place]
         if opener.used:
             if self._handshake.wanted and now_ns < self._rekey_due_ns and self._sealer is not None:
@@ -255,10 +274,12 @@ class ProtectedChannel:
 
     def _take_keys(self, event: KeysAgreed, now_ns: int) -> None:
         receive = event.keys.receive
-        opener = _Opener(receive.number, RecordOpener(receive))
+        agreed = self._openers[0].agreed + 1 if self._openers else 1
+        opener = _Opener(receive.number, RecordOpener(receive), agreed)
         in_use = self._openers[1:][max(self._newest_used() - 1, 0) :][:1]
         self._openers = [opener, *self._openers[:1], *in_use]
         self._next_sealer = RecordSealer(event.keys.send)
+        self._next_reads = event.keys.reads
         if self.peer_address is None:
             self._handle_source(event.source)
         if event.ready:
@@ -269,15 +290,17 @@ class ProtectedChannel:
             return
         self._events.append(SessionBegun(renewed=self._sealer is not None))
         self._sealer, self._next_sealer = self._next_sealer, None
+        self.peer_reads = self._next_reads
         self.metrics.sessions += 1
         self._rekey_due_ns = now_ns + self._rekey_ns
-        self._heard_ns = now_ns
+        self.heard_ns = now_ns
 
 
 @dataclass(slots=True)
 class _Opener:
-    """Keys that open records. used: one has come under them."""
+    """Keys that open records. agreed: counts the keys. used: one has come under them."""
 
     number: bytes
     records: RecordOpener
+    agreed: int
     used: bool = False

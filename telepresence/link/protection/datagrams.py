@@ -1,8 +1,9 @@
 """The datagrams between two protected ends: records with frames, and segments of a handshake.
 
 A record is one transfer frame, encrypted and authenticated, in one datagram. docs/security.md has
-its fields. AES-256-GCM (NIST SP 800-38D) encrypts. The header is its additional data. Its nonce is
-the direction's initialisation vector, combined with the sequence number as in RFC 8446 section 5.3.
+its fields. Records of two further kinds have several frames, for ends that both know them.
+AES-256-GCM (NIST SP 800-38D) encrypts. The header is its additional data. Its nonce is the
+direction's initialisation vector, combined with the sequence number as in RFC 8446 section 5.3.
 
 The segments of a handshake are a small reliable octet stream each way, as QUIC's CRYPTO frames:
 
@@ -35,6 +36,9 @@ RECORD = 0x11
 HANDSHAKE = 0x12
 #: As `HANDSHAKE`, and asks for a session.
 KNOCK = 0x13
+#: Records of several frames: whole, and without what is idle (telepresence.link.path.bundles).
+PACKED, COMPACT = 0x14, 0x15
+RECORDS = (RECORD, PACKED, COMPACT)
 
 KEY_NUMBER_OCTETS = 3
 SEQUENCE_OCTETS = 6
@@ -77,19 +81,20 @@ class RecordSealer:
     def __init__(self, keys: DirectionKeys) -> None:
         self._encrypt = AESGCM(keys.key).encrypt
         self._vector = int.from_bytes(keys.vector, "big")
-        self._head = bytes([RECORD]) + keys.number
+        self._number = keys.number
         self.sealed = 0
 
-    def seal(self, frame: bytes) -> bytes:
+    def seal(self, frame: bytes, kind: int = RECORD) -> bytes:
         """Return the record of `frame`; it is `OVERHEAD_OCTETS` longer.
 
+        kind: of what is in the place of a frame, if it is something else.
         Raises OverflowError after `MOST_RECORDS`: the key must have been replaced long before.
         """
         sequence = self.sealed
         if sequence >= MOST_RECORDS:
             raise OverflowError("too many records under one key")
         self.sealed = sequence + 1
-        head = self._head + sequence.to_bytes(SEQUENCE_OCTETS, "big")
+        head = bytes((kind,)) + self._number + sequence.to_bytes(SEQUENCE_OCTETS, "big")
         nonce = (self._vector ^ sequence).to_bytes(VECTOR_OCTETS, "big")
         return head + self._encrypt(nonce, frame, head)
 
@@ -115,7 +120,7 @@ class RecordOpener:
         looked at and moved only for genuine records, so no forgery moves it.
         """
         head = record[:HEADER_OCTETS]
-        sequence = int.from_bytes(head[1 + KEY_NUMBER_OCTETS :], "big")
+        sequence = sequence_number(record)
         nonce = (self._vector ^ sequence).to_bytes(VECTOR_OCTETS, "big")
         try:
             frame = self._decrypt(nonce, record[HEADER_OCTETS:], head)
@@ -139,6 +144,11 @@ class RecordOpener:
 def key_number(record: bytes) -> bytes:
     """Return the key number of a record, 3 octets."""
     return record[1 : 1 + KEY_NUMBER_OCTETS]
+
+
+def sequence_number(record: bytes) -> int:
+    """Return the sequence number of a record."""
+    return int.from_bytes(record[1 + KEY_NUMBER_OCTETS : HEADER_OCTETS], "big")
 
 
 NONCE_OCTETS = 8

@@ -72,13 +72,16 @@ class Handshake:
     """One end's attempts with its peer. See the module for what to call when.
 
     secret: 32 octets that nobody else knows, drawn anew at each start; the nonces come from it.
+    reads: what this end can read, as of `Agreement`.
     wanted: whether this end asks for a session.
     """
 
-    def __init__(self, key: MachineKey, peer: MachineIdentity, secret: bytes) -> None:
+    def __init__(
+        self, key: MachineKey, peer: MachineIdentity, secret: bytes, reads: int = 0
+    ) -> None:
         if key.identity == peer:
             raise ValueError("an end cannot be its own peer")
-        self._agreement = Agreement(key, peer)
+        self._agreement = Agreement(key, peer, reads)
         self._codec = SegmentCodec(key.identity, peer)
         self._secret = secret
         self._drawn = 0

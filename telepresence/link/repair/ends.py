@@ -2,14 +2,16 @@
 
 from telepresence.link.link_metrics import RepairSentMetrics
 from telepresence.link.receiver import LinkReceiver
-from telepresence.link.repair.reserve import PARTS, Growth, Loss, Reserve
+from telepresence.link.repair.reserve import NOTHING, PARTS, Growth, Kept, Loss, Reserve
 from telepresence.link.sender import LinkSender
 
 
 class EndRepair:
     """The repair of one end: what its receiver lost, and what its sender keeps free.
 
-    on: whether both ends have repair.
+    on: whether both ends have repair; `set` changes it.
+    compact: idle octets cost nothing on the path, so idle zones carry repair only while losses are
+        reported; `set_compact` changes it.
     """
 
     def __init__(self, sender: LinkSender, receiver: LinkReceiver) -> None:
@@ -18,11 +20,16 @@ class EndRepair:
         self._received, self._sent = Growth(), Growth()
         self._reported = Loss()
         self.on = True
+        self.compact = False
 
     @property
     def leave_out(self) -> int:
         """One picture of so many is to be left out; 0: none."""
-        return self._reserve.kept.leave_out
+        return self._kept.leave_out
+
+    @property
+    def _kept(self) -> Kept:
+        return self._reserve.kept if self._sender.profile.repair == "auto" else NOTHING
 
     def set(self, on: bool) -> None:
         """Whether both ends have repair."""
@@ -31,6 +38,12 @@ class EndRepair:
             self._sender.set_repair(on)
             self._receiver.set_repair(on)
             self._use(Reserve())
+
+    def set_compact(self, compact: bool) -> None:
+        """Whether the path to the other end leaves idle octets out."""
+        if compact != self.compact:
+            self.compact = compact
+            self._use(self._reserve)
 
     def measure(self, now_ns: int) -> Loss:
         """Return what of the peer's frames is lost, for the peer."""
@@ -43,7 +56,7 @@ class EndRepair:
     def handle_loss(self, loss: Loss | None, now_ns: int) -> None:
         """The peer reports what of this end's frames is lost; None: it says nothing."""
         sender = self._sender
-        if loss is None or sender.repair is None or sender.profile.repair != "auto":
+        if loss is None or sender.repair is None:
             return
         self._reported = loss
         octets, frames = self._sent.since(now_ns, sender.idle_octets, sender.frames_sent)
@@ -53,7 +66,8 @@ class EndRepair:
 
     def _use(self, reserve: Reserve) -> None:
         self._reserve = reserve
-        self._sender.reserve = reserve.kept
+        self._sender.reserve = self._kept
+        self._sender.repairs_idle = reserve.active or not self.compact
 
     def report(self) -> RepairSentMetrics | None:
         """Return what this end sends for repair, and why; None where the setup has no repair."""
@@ -62,13 +76,16 @@ class EndRepair:
         if not self.on:
             mode, why = "off", "the other end does not know it"
         elif self._reserve.active:
-            mode, why = "reserve", "the other end reports losses"
+            mode = "reserve" if self._sender.profile.repair == "auto" else "idle"
+            why = "the other end reports losses"
+        elif self.compact:
+            mode, why = "waiting", "no loss is reported, and the path leaves idle octets out"
         else:
             mode, why = "idle", "no loss is reported"
         return RepairSentMetrics(
             mode=mode,
             why=why,
-            **self._reserve.kept._asdict(),
+            **self._kept._asdict(),
             lost=self._reported.lost / PARTS,
             torn=self._reported.torn / PARTS,
         )

@@ -1,10 +1,13 @@
 """Whose frames are followed without protection; and the slots of a protected path."""
 
+import pytest
 from protected_pair import GROUND_ADDRESS, GROUND_KEY, SPACE_ADDRESS, SPACE_KEY
 
 from pipelines.session.setup.setup_file import BUILT_IN
 from telepresence.link.frame import FrameCodec
-from telepresence.link.peer_path import SILENCE_NS, STEP_NS, OpenPath, ProtectedPath
+from telepresence.link.path.bundles import Bundling
+from telepresence.link.peer_path import SILENCE_NS, STEP_NS, LookupSchedule, OpenPath, ProtectedPath
+from telepresence.link.profile import UPLINK
 
 DOWNLINK = BUILT_IN["spacejustin"].downlink
 GOOD = FrameCodec(DOWNLINK).pack_idle(7, None)
@@ -73,7 +76,10 @@ class Pair:
     def deliver(self, sender, datagram, address):
         path = self.paths.get(address)
         if path is not None:
-            self.frames[path] += path.handle_datagram(datagram, sender, self.now_ns) == FRAME
+            frame = path.handle_datagram(datagram, sender, self.now_ns)
+            while frame is not None:
+                self.frames[path] += frame == FRAME
+                frame = path.next_frame(self.now_ns)
 
     def slots(self, number, *, silent=()):
         """silent: paths whose radio sends no frame, because it has lost its signal."""
@@ -143,3 +149,35 @@ def test_a_session_outlives_a_radio_without_a_signal():
         metrics = path.report(pair.now_ns)
         assert (metrics.sessions, metrics.dropped) == (1, {})
         assert pair.frames[path] == frames[path] + 100
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_frames_go_together_if_the_other_end_can_read_them(known):
+    pair = Pair(bundling=Bundling(UPLINK, UPLINK, batch=4))
+    if not known:
+        pair.ground = pair.paths[GROUND_ADDRESS] = pair.path(GROUND_KEY, SPACE_KEY, None)
+        pair.frames[pair.ground] = 0
+    got = pair.slots(100).frames[pair.ground]
+    taken = pair.ground.report(pair.now_ns).taken
+    pair.slots(400)
+    space = pair.space.report(pair.now_ns)
+    assert pair.frames[pair.ground] - got == 400
+    assert pair.ground.report(pair.now_ns).taken - taken == (100 if known else 400)
+    assert (space.bundled, space.dropped) == (known, {})
+
+
+def test_a_silent_peers_name_is_looked_up_ever_more_seldom():
+    schedule = LookupSchedule()
+    looked = [s for s in range(300) if schedule.poll(10 * SILENCE_NS, s * SILENCE_NS)]
+    assert looked == [14, 18, 26, 42, 74, 138, 202, 266]
+    assert [schedule.poll(300 * SILENCE_NS, s * SILENCE_NS) for s in (301, 304)] == [False, True]
+
+
+def test_a_peer_that_is_found_at_another_address_is_asked_there():
+    pair = Pair()
+    space = pair.space = pair.paths[SPACE_ADDRESS] = pair.path(SPACE_KEY, GROUND_KEY, OTHER)
+    pair.frames[space] = 0
+    assert pair.slots(500).space.report(pair.now_ns).sessions == 0
+    space.handle_address(GROUND_ADDRESS, pair.now_ns)
+    assert pair.slots(2500).frames[space] > 1000
+    assert space.report(pair.now_ns).events[0].what == "name looked up: 192.0.2.1:27000"

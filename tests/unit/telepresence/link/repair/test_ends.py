@@ -97,3 +97,20 @@ def test_reported_losses_turn_the_reserve_on_and_thirty_seconds_without_end_it()
     link.ground.radio.share = 0.0
     assert run(link, 29)[0].transmit.repair_sent.mode == "reserve"
     assert run(link, 6)[0].transmit.repair_sent.mode == "idle"
+
+
+@pytest.mark.parametrize("mode", ["auto", "idle"])
+def test_with_a_compact_path_idle_zones_repair_only_while_losses_are_reported(mode):
+    link = joined(mode, mode)
+    link.ground.repair.set_compact(True)
+    ground, space = run(link, 3)
+    assert (ground.transmit.octets["repair"], ground.transmit.repair_sent.mode) == (0, "waiting")
+    assert space.transmit.octets["repair"] > 0
+    link.ground.radio.share = 0.05
+    ground, space = run(link, 3)
+    assert ground.transmit.octets["repair"] > 0 and space.receive.repaired.zones > 0
+    assert ground.transmit.repair_sent.mode == ("reserve" if mode == "auto" else "idle")
+    assert (link.ground.sender.reserve.after_voice > 0) == (mode == "auto")
+    link.ground.radio.share = 0.0
+    repaired = run(link, 35)[0].transmit.octets["repair"]
+    assert run(link, 1)[0].transmit.octets["repair"] == repaired

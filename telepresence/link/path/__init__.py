@@ -1,0 +1,1 @@
+"""What lies between transfer frames and the datagrams of a path to another machine. Cores."""
