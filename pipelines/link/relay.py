@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from kontur_av.clock import NS_PER_S
 from pipelines.session.datagrams import LOOPBACK, Address, host_port, listen
-from telepresence.link.path.network import NetworkPath
+from telepresence.link.radio.network import NetworkPath
 
 _MOST_OCTETS = 2048
 #: The longest sleep, so that a request to stop is seen.

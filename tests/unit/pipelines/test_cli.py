@@ -148,7 +148,7 @@ REFUSALS = {
         "TASKBOARD --key k": "--key is for one end alone",
         "TASKBOARD --path-batch-ms 2": "--path-batch-ms is for one end alone",
         "TASKBOARD --path compact": "--path is for one end alone",
-        "GROUND --listen 127.0.0.1:9 --path-batch-ms 3": "--path-batch-ms 3: take 1, 2 or 4",
+        "GROUND --listen 127.0.0.1:9 --path-batch-ms 3": "path_batch_ms 3: take 1, 2 or 4",
         "TASKBOARD --apps-bind 127.0.0.1": "--apps HOST",
         "TASKBOARD --apps no_host": "no_host",
         "TASKBOARD --apps 192.0.2.7": "--apps-bind",
