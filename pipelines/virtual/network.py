@@ -5,20 +5,17 @@ The ends are those of live machines: they handshake, protect, pack and reorder.
 
 from collections import deque
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from pipelines.link.gateway_end import GatewayEnd
-from pipelines.link.own_ends import PeerPlan, Protection, make_path
-from pipelines.session.datagrams import Address
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import Setup
 from telepresence.link.gateway import Gateway
+from telepresence.link.link_metrics import Address
+from telepresence.link.path.bundles import Bundling
+from telepresence.link.peer_path import ProtectedPath
 from telepresence.link.protection.identity import MachineKey
 from telepresence.link.radio.network import NetworkPath
 from telepresence.link.radio.path import RadioPath
-
-if TYPE_CHECKING:
-    from pipelines.link.own_ends import PeerPath
 
 #: Of documentation (RFC 5737).
 _ADDRESSES: Mapping[Segment, Address] = {
@@ -37,8 +34,8 @@ class NetworkWay:
     def __init__(
         self,
         radio: RadioPath,
-        here: "PeerPath",
-        there: "PeerPath",
+        here: ProtectedPath,
+        there: ProtectedPath,
         source: Address,
         network: NetworkPath,
         slot_ns: int,
@@ -105,13 +102,13 @@ class VirtualNetwork:
         }
 
 
-def _path(setup: Setup, segment: Segment, gateway: Gateway, now_ns: int) -> "PeerPath":
-    plan = PeerPlan(
-        segment=segment,
-        bind=_ADDRESSES[segment],
-        peer=None if segment is Segment.GROUND else _ADDRESSES[segment.peer],
-        protection=Protection(key=_KEYS[segment], peer=_KEYS[segment.peer].identity),
-        batch_ms=setup.path_batch_ms,
-        compact=setup.path == "compact",
+def _path(setup: Setup, segment: Segment, gateway: Gateway, now_ns: int) -> ProtectedPath:
+    transmit, receive = gateway.sender.profile, gateway.receiver.profile
+    return ProtectedPath(
+        _KEYS[segment],
+        _KEYS[segment.peer].identity,
+        secret=bytes(32),
+        address=None if segment is Segment.GROUND else _ADDRESSES[segment.peer],
+        now_ns=now_ns,
+        bundling=Bundling(transmit, receive, setup.path_batch_ms, setup.path == "compact"),
     )
-    return make_path(plan, gateway.sender.profile, gateway.receiver.profile, now_ns)
