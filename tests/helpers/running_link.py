@@ -75,6 +75,8 @@ class RunningLink(RunningSession):
     def output(self):
         return self._out_path.read_text()
 
+    errors = output
+
     def lines(self):
         """Return the lines of figures so far."""
         return [line for line in self.output().splitlines() if line.lstrip()[:1].isdigit()]
