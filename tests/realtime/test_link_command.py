@@ -64,11 +64,6 @@ def until_through(sender, to, receiver, data):
     eventually(through, f"{data!r} from {to} through the link")
 
 
-def rtp(sequence, payload_type=96):
-    header = bytes([0x80, payload_type]) + sequence.to_bytes(2, "big") + bytes(8)
-    return header + b"payload"
-
-
 def test_programs_talk_through_it_and_strangers_do_not(start, program):
     link = start("--setup", "spacejustin")
     session = link.topology
@@ -79,7 +74,7 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
         until_through(anyone, ("127.0.0.1", session.entry_port(name)), exits[name], name.encode())
     for name in ("uplink_video", "downlink_video", "uplink_voice", "downlink_voice"):
         where = "127.0.0.1", session.entry_port(name)
-        until_through(anyone, where, exits[name], rtp(7))
+        until_through(anyone, where, exits[name], b"\x80\x60\0\7" + bytes(8) + b"payload")
     joystick, robot = (
         program(session.exit_port("uplink_haptic")),
         program(session.exit_port("downlink_haptic")),

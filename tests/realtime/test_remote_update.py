@@ -35,10 +35,6 @@ def pack(folder, place):
     return path
 
 
-def listed(folder):
-    replace_file(DiskStore(folder), SFV, sfv_text(read_folder(DiskStore(folder), "")))
-
-
 @pytest.fixture(scope="module")
 def ends(tmp_path_factory):
     """A session with files and both keepers, which watch the folders that files come into."""
@@ -98,7 +94,7 @@ class Ends:
 
     def pack_copy(self, name, text):
         folder = make(self.top, name, text=text)
-        listed(folder)
+        replace_file(DiskStore(folder), SFV, sfv_text(read_folder(DiskStore(folder), "")))
         pack(folder, self.ground / "joystick")
 
     def fetched(self, name):
