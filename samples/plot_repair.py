@@ -1,6 +1,6 @@
 """Pictures that come over lost frames: without repair, with it, and GStreamer's FEC beside it.
 
-Run it: python samples/plot_repair.py [--seconds 60] [--picture x.png]
+Run it: python samples/plot_repair.py [--seconds 60] [--loss 0.01 0.05] [--picture x.png]
 Ours are sessions of `spacejustin` on virtual time, 30 ms one way: the share of the coded pictures
 that was shown. GStreamer (x264enc, rtph264pay, rtpulpfecenc) codes clip.mp4 for the same octets;
 a packet is lost with any of the link's frames that it would lie in, and a FEC packet (RFC 5109)
@@ -107,21 +107,21 @@ def whole(sent, loss):
     return sum(lost.isdisjoint(each) for each in pictures.values()) / len(pictures)
 
 
-def draw(path, curves):
+def draw(path, losses, curves):
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4), dpi=150, layout="constrained")
     axes = figure.subplots()
     for name, shares in curves.items():
         axes.semilogx(
-            [100 * loss for loss in LOSSES],
+            [100 * loss for loss in losses],
             [100 * share for share in shares],
             label=name,
             marker="o",
         )
     axes.set_xlabel("lost frames, %")
     axes.set_ylabel("pictures that come, %")
-    axes.set_xticks([100 * loss for loss in LOSSES], [f"{100 * loss:g}" for loss in LOSSES])
+    axes.set_xticks([100 * loss for loss in losses], [f"{100 * loss:g}" for loss in losses])
     axes.set_ylim(0, 102)
     axes.grid(alpha=0.4)
     axes.legend(loc="lower left")
@@ -131,10 +131,12 @@ def draw(path, curves):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=int, default=60)
+    parser.add_argument("--loss", type=float, nargs="+", default=LOSSES)
     parser.add_argument("--picture")
     args = parser.parse_args()
     curves = {
-        name: [ours(loss, repair, args.seconds) for loss in LOSSES] for repair, name in OURS.items()
+        name: [ours(loss, repair, args.seconds) for loss in args.loss]
+        for repair, name in OURS.items()
     }
     if shutil.which("gst-launch-1.0"):
         with tempfile.TemporaryDirectory() as directory:
@@ -145,12 +147,12 @@ def main():
             rate = sum(map(len, each)) * 8 / args.seconds / 1000
             print(f"GStreamer, {percentage} % of FEC: {len(each)} packets, {rate:.1f} kbit/s")
         curves["GStreamer, rtpulpfecenc"] = [
-            max(whole(each, loss) for each in sent) for loss in LOSSES
+            max(whole(each, loss) for each in sent) for loss in args.loss
         ]
     for name, shares in curves.items():
         print(f"{name:24}", *(f"{100 * share:5.1f}" for share in shares))
     if args.picture:
-        draw(args.picture, curves)
+        draw(args.picture, args.loss, curves)
 
 
 if __name__ == "__main__":
