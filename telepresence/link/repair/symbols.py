@@ -93,18 +93,18 @@ class Symbols:
 
         What no sender with repair sends counts as a supervision message.
         """
+        size, bits = self._size, self._mark_bits
+        if len(zone) == size:
+            if (mark := self._mark_of.get(pointer)) is not None:
+                return int.from_bytes(zone, "big") << bits | mark, 0
+        elif (mark := self._plain_of.get(pointer)) is not None:
+            number, second = (int.from_bytes(part, "big") for part in (zone[:size], zone[size:]))
+            if self._short:
+                return number << bits | self._supervision, second << bits | mark
+            return number << bits | mark, second
         if pointer == self._pointers.idle or self.is_repair(pointer, zone):
             return 0, 0
-        size, bits = self._size, self._mark_bits
-        mark = (self._mark_of if len(zone) == size else self._plain_of).get(pointer)
-        if mark is None:
-            return (_SUPERVISION if self._short else 0) << bits | self._supervision, 0
-        number, second = int.from_bytes(zone[:size], "big") << bits, 0
-        if len(zone) != size:
-            second = int.from_bytes(zone[size:], "big")
-            if self._short:
-                return number | self._supervision, second << bits | mark
-        return number | mark, second
+        return (_SUPERVISION if self._short else 0) << bits | self._supervision, 0
 
     def is_plain(self, first: int) -> bool:
         """Whether a first symbol is of packets in a frame without a sample."""
