@@ -1,13 +1,27 @@
 """The sending end: the repair zones of one direction. No I/O, no clock."""
 
 from collections import deque
+from enum import IntEnum
 
 from telepresence.link.profile import LinkProfile
 from telepresence.link.repair.codes import WINDOW, code_of
 from telepresence.link.repair.symbols import Content, Symbols
 
-#: Repair zones for each protected zone in idle slots, and the fewest after one.
-_SHORT_CREDIT, _LONG_CREDIT = (1, 4), (2, 12)
+
+class Idle(IntEnum):
+    """How much of the idle slots carries repair.
+
+    FEW restore the first losses, before the other end has reported any.
+    """
+
+    NONE = 0
+    FEW = 1
+    MANY = 2
+
+
+#: Repair zones in idle slots for each protected zone, and the fewest behind one; by `Idle`.
+_SHORT_CREDITS = (0, 0), (0, 1), (1, 4)
+_LONG_CREDITS = (0, 0), (0, 3), (1, 8)
 
 
 class RepairEncoder:
@@ -20,20 +34,26 @@ class RepairEncoder:
     def __init__(self, profile: LinkProfile) -> None:
         self._symbols = Symbols(profile)
         self._code = code_of(profile)
-        self._per_zone, self._least = _SHORT_CREDIT if profile.pointer_in_vcid else _LONG_CREDIT
+        self._credits = _SHORT_CREDITS if profile.pointer_in_vcid else _LONG_CREDITS
         #: Protected slots, oldest first, with their first and second symbols.
-        self._protected: deque[tuple[int, int, int]] = deque()
+        self._protected: deque[tuple[int, int, int]] = deque(maxlen=WINDOW)
+        #: Those behind them, with pointer and zone.
+        self._new: deque[tuple[int, int, bytes]] = deque(maxlen=WINDOW)
         self._credit = 0
+        self.set_idle(Idle.MANY)
 
     @property
     def least_position(self) -> int:
         """As of `Symbols`."""
         return self._symbols.least_position
 
+    def set_idle(self, idle: Idle) -> None:
+        """How much of the idle slots carries repair from now on."""
+        self._per_zone, self._least = self._credits[idle]
+
     def protect(self, count: int, pointer: int, zone: bytes) -> None:
         """The slot `count` carries packets, or a supervision message."""
-        self._protected.append((count, *self._symbols.symbols(pointer, zone)))
-        self._forget(count)
+        self._new.append((count, pointer, zone))
         self._credit = min(max(self._credit + self._per_zone, self._least), WINDOW)
 
     def repair(self, count: int, *, plain: bool, reserved: bool = False) -> Content | None:
@@ -41,21 +61,18 @@ class RepairEncoder:
 
         plain: the frame has no sample. reserved: the slot is not idle, so no credit is needed.
         """
-        self._forget(count)
-        if not self._protected:
-            self._credit = 0
-        if not self._protected or not (reserved or self._credit):
-            return None
         if not reserved:
+            if not self._credit:
+                return None
             self._credit -= 1
-        first = self._code.sum(((slot, first) for slot, first, _ in self._protected), count)
-        second = None
-        if plain:
-            seconds = ((slot, second) for slot, _, second in self._protected if second)
-            second = self._code.sum(seconds, count)
-        return self._symbols.pack(first, second, count) if first or second else None
-
-    def _forget(self, count: int) -> None:
         protected = self._protected
+        for slot, pointer, zone in self._new:
+            protected.append((slot, *self._symbols.symbols(pointer, zone)))
+        self._new.clear()
         while protected and protected[0][0] < count - WINDOW:
             protected.popleft()
+        first = self._code.sum([(slot, first) for slot, first, _ in protected], count)
+        second = None
+        if plain:
+            second = self._code.sum([(slot, second) for slot, _, second in protected], count)
+        return self._symbols.pack(first, second, count) if first or second else None

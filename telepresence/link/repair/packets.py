@@ -59,25 +59,24 @@ class RepairedPackets:
 
     def handle_zone(self, pointer: int, zone: bytes, count: int, now_ns: int) -> None:
         """The frame of the slot came."""
-        restored = self._decoder.handle_zone(count, pointer, zone)
-        ahead = self._ahead
-        if self._symbols.is_repair(pointer, zone):
-            content: Content | tuple[()] = _NOTHING
-        elif ahead is None:
-            self._settled.handle_zone(pointer, zone, count, now_ns)
+        ahead, is_repair = self._ahead, self._symbols.is_repair(pointer, zone)
+        if ahead is None:
+            self._decoder.note((pointer, zone))
+            if not is_repair:
+                self._settled.handle_zone(pointer, zone, count, now_ns)
             return
-        elif pointer == self._supervision:
+        restored = self._decoder.handle_zone(count, pointer, zone)
+        content: Content | tuple[()] = _NOTHING
+        if pointer == self._supervision:
             # It is read at once, and once.
             self._settled.handle_zone(pointer, zone, count, now_ns)
-            content = _NOTHING
-        else:
+        elif not is_repair:
             content = pointer, zone
-        if ahead is None:
-            return
         self._zones[count], self._came_ns[count] = content, now_ns
         if restored:
             self._read_again(restored, now_ns)
-        elif content:
+            return
+        if content:
             ahead.handle_zone(pointer, zone, count, now_ns)
         self._settle(now_ns)
 
@@ -107,25 +106,29 @@ class RepairedPackets:
             self._zones[count] = content or _NOTHING
             self._wait_max_ns = max(self._wait_max_ns, now_ns - self._came_ns[count])
         self._anew = True
-        ahead = self._ahead = self._settled.fork(self._hand_on_ahead)
-        for count, zone in self._zones.items():
-            _read(ahead, zone, count, now_ns)
+        self._settle(now_ns)
+        if self._ahead is not None:
+            ahead = self._ahead = self._settled.fork(self._hand_on_ahead)
+            for count, zone in self._zones.items():
+                _read(ahead, zone, count, now_ns)
         self._anew = False
 
     def _settle(self, now_ns: int) -> None:
         """Read on up to the oldest zone that may still be restored."""
-        zones, lost = self._zones, self._decoder.lost
-        while zones:
-            count, content = next(iter(zones.items()))
-            if content is None and count in lost:
-                return
-            before = self._settled.dropped.get("incomplete", 0)
-            _read(self._settled, content, count, now_ns)
+        settled, lost, read = self._settled, self._decoder.lost, []
+        for count, content in self._zones.items():
+            if count in lost:
+                break
+            before = settled.dropped.get("incomplete", 0)
+            _read(settled, content, count, now_ns)
             if content is None:
-                self._torn += self._settled.dropped.get("incomplete", 0) - before
-            del zones[count], self._came_ns[count]
-        self._ahead = None
-        self._handed_on.clear()
+                self._torn += settled.dropped.get("incomplete", 0) - before
+            read.append(count)
+        for count in read:
+            del self._zones[count], self._came_ns[count]
+        if not self._zones:
+            self._ahead = None
+            self._handed_on.clear()
 
     def _hand_on_ahead(self, place: int, number: int, packet: bytes, now_ns: int) -> None:
         last = self._sequences[number]
