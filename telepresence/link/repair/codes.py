@@ -56,11 +56,12 @@ def combine(parts: Sequence[int]) -> int:
     return total
 
 
-#: By (c xor s) and 511: the coefficient, and a factor that puts a copy of a symbol at each of its
-#: bits. One multiplication is faster than one for each element.
+#: A factor that puts a copy of a symbol at each bit of a coefficient.
+_COPIES = sum(1 << _SYMBOL * bit for bit in range(_BITS))
+#: By (c xor s) and 511: the coefficient, and which of the copies its bits select.
 _COEFFICIENTS = [inverse(_DISTANCES + distance) for distance in range(_DISTANCES)]
-_COPIES = [
-    sum(1 << _SYMBOL * bit for bit in range(_BITS) if coefficient >> bit & 1)
+_SELECTED = [
+    sum((1 << _SYMBOL) - 1 << _SYMBOL * bit for bit in range(_BITS) if coefficient >> bit & 1)
     for coefficient in _COEFFICIENTS
 ]
 
@@ -77,7 +78,11 @@ class Code(Protocol):
         """The coefficient of a slot in the repair zone of the slot `count`; 0: not covered."""
         ...
 
-    def sum(self, symbols: Iterable[tuple[int, int]], count: int) -> int:
+    def prepare(self, symbol: int) -> int:
+        """What `sum` takes for a symbol; 0 for 0."""
+        ...
+
+    def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
         """The repair symbol of the slot `count`, of slots before it and their symbols."""
         ...
 
@@ -90,11 +95,14 @@ class CauchyCode:
     def coefficient(self, count: int, slot: int) -> int:
         return _COEFFICIENTS[(count ^ slot) & _DISTANCES - 1]
 
-    def sum(self, symbols: Iterable[tuple[int, int]], count: int) -> int:
-        copies, total = _COPIES, 0
-        for slot, symbol in symbols:
-            if symbol:
-                total ^= symbol * copies[(count ^ slot) & _DISTANCES - 1]
+    def prepare(self, symbol: int) -> int:
+        return symbol * _COPIES
+
+    def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
+        selected, total = _SELECTED, 0
+        for slot, copies in prepared:
+            if copies:
+                total ^= copies & selected[(count ^ slot) & _DISTANCES - 1]
         return combine([total >> _SYMBOL * bit & (1 << _SYMBOL) - 1 for bit in range(_BITS)])
 
 
@@ -106,9 +114,12 @@ class BinaryCode:
     def coefficient(self, count: int, slot: int) -> int:
         return _mask(count % _DISTANCES) >> count - slot & 1
 
-    def sum(self, symbols: Iterable[tuple[int, int]], count: int) -> int:
+    def prepare(self, symbol: int) -> int:
+        return symbol
+
+    def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
         mask, total = _mask(count % _DISTANCES), 0
-        for slot, symbol in symbols:
+        for slot, symbol in prepared:
             if mask >> count - slot & 1:
                 total ^= symbol
         return total

@@ -24,7 +24,9 @@ class RepairDecoder:
         self._symbols = Symbols(profile)
         self._code = code_of(profile)
         self.lost: dict[int, None] = {}
-        #: First and second symbols of the latest slots; of lost ones as much as is known.
+        #: First symbols, known of lost slots.
+        self._known: dict[int, int] = {}
+        #: First symbols, prepared, and second ones of the latest slots; of lost ones what is known.
         self._firsts: deque[int] = deque(maxlen=WINDOW)
         self._seconds: deque[int] = deque(maxlen=WINDOW)
         #: The slots behind them, whose symbols nobody needed yet; None: lost.
@@ -85,16 +87,17 @@ class RepairDecoder:
 
     def _forget(self, slot: int) -> None:
         del self.lost[slot]
+        self._known.pop(slot, None)
         if not self.lost:
             for unknowns in self._in_use[1:]:
                 unknowns.clear()
             del self._in_use[1:]
 
     def _convert(self) -> None:
-        symbols = self._symbols.symbols
+        symbols, prepare = self._symbols.symbols, self._code.prepare
         for content in self._contents:
             first, second = symbols(*content) if content else (0, 0)
-            self._firsts.append(first)
+            self._firsts.append(prepare(first))
             self._seconds.append(second)
         self._contents.clear()
 
@@ -104,7 +107,8 @@ class RepairDecoder:
         first, second, left_out = self._symbols.parse(pointer, zone, count)
         first ^= code.sum(enumerate(self._firsts, oldest), count)
         for slot, symbol in self._first.solve(self._unknown(self._first, count), first).items():
-            self._firsts[slot - oldest] = symbol
+            self._known[slot] = symbol
+            self._firsts[slot - oldest] = code.prepare(symbol)
             if not self._symbols.is_plain(symbol):
                 for part, unknowns in enumerate(self._in_use[1:]):
                     if slot in unknowns.lost:
@@ -112,12 +116,12 @@ class RepairDecoder:
         if second is None:
             return
         if len(self._in_use) == 1:
-            asked = [slot for slot in self.lost if self._may_be_plain(slot, oldest)]
+            asked = [slot for slot in self.lost if self._may_be_plain(slot)]
             for unknowns in self._second:
                 unknowns.lost = dict.fromkeys(asked)
             self._in_use += self._second
         # First symbols may have told some second ones.
-        second ^= code.sum(enumerate(self._seconds, oldest), count)
+        second ^= code.sum(enumerate(map(code.prepare, self._seconds), oldest), count)
         for part, unknowns in enumerate(self._second):
             if part != left_out:
                 value = second if left_out is None else second >> part * ELEMENT_BITS & _ELEMENT
@@ -125,8 +129,8 @@ class RepairDecoder:
                     part, unknowns.solve(self._unknown(unknowns, count), value), oldest
                 )
 
-    def _may_be_plain(self, slot: int, oldest: int) -> bool:
-        return slot in self._first.lost or self._symbols.is_plain(self._firsts[slot - oldest])
+    def _may_be_plain(self, slot: int) -> bool:
+        return slot not in self._known or self._symbols.is_plain(self._known[slot])
 
     def _note_seconds(self, part: int, solved: dict[int, int], oldest: int) -> None:
         for slot, value in solved.items():
@@ -140,13 +144,12 @@ class RepairDecoder:
         restored: Restored = []
         for slot in list(self.lost):
             # Without an equation for second symbols, only slots with a sample are restored.
-            if (len(self._in_use) == 1 and self._may_be_plain(slot, oldest)) or any(
+            if (len(self._in_use) == 1 and self._may_be_plain(slot)) or any(
                 slot in unknowns.lost for unknowns in self._in_use
             ):
                 continue
-            place = slot - oldest
             try:
-                content = self._symbols.content(self._firsts[place], self._seconds[place])
+                content = self._symbols.content(self._known[slot], self._seconds[slot - oldest])
                 restored.append((slot, content))
                 self.restored += 1
             except KeyError:

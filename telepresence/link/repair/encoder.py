@@ -21,7 +21,7 @@ class Idle(IntEnum):
 
 #: Repair zones in idle slots for each protected zone, and the fewest behind one; by `Idle`.
 _SHORT_CREDITS = (0, 0), (0, 1), (1, 4)
-_LONG_CREDITS = (0, 0), (0, 3), (1, 8)
+_LONG_CREDITS = (0, 0), (0, 1), (1, 8)
 
 
 class RepairEncoder:
@@ -35,7 +35,7 @@ class RepairEncoder:
         self._symbols = Symbols(profile)
         self._code = code_of(profile)
         self._credits = _SHORT_CREDITS if profile.pointer_in_vcid else _LONG_CREDITS
-        #: Protected slots, oldest first, with their first and second symbols.
+        #: Protected slots, oldest first, with their first and second symbols, prepared.
         self._protected: deque[tuple[int, int, int]] = deque(maxlen=WINDOW)
         #: Those behind them, with pointer and zone.
         self._new: deque[tuple[int, int, bytes]] = deque(maxlen=WINDOW)
@@ -65,14 +65,15 @@ class RepairEncoder:
             if not self._credit:
                 return None
             self._credit -= 1
-        protected = self._protected
+        protected, prepare = self._protected, self._code.prepare
         for slot, pointer, zone in self._new:
-            protected.append((slot, *self._symbols.symbols(pointer, zone)))
+            first, second = self._symbols.symbols(pointer, zone)
+            protected.append((slot, prepare(first), prepare(second)))
         self._new.clear()
         while protected and protected[0][0] < count - WINDOW:
             protected.popleft()
-        first = self._code.sum([(slot, first) for slot, first, _ in protected], count)
-        second = None
+        total = self._code.sum([(slot, first) for slot, first, _ in protected], count)
+        rest = None
         if plain:
-            second = self._code.sum([(slot, second) for slot, _, second in protected], count)
-        return self._symbols.pack(first, second, count) if first or second else None
+            rest = self._code.sum([(slot, second) for slot, _, second in protected], count)
+        return self._symbols.pack(total, rest, count) if total or rest else None

@@ -4,6 +4,8 @@ from telepresence.link.repair.codes import combine, inverse
 
 #: Places of coefficients. Lost slots of one time are less than so many slots apart.
 _PLACES = 128
+#: By element: its bits.
+_BITS_OF = [tuple(bit for bit in range(10) if element >> bit & 1) for element in range(1024)]
 
 
 class Unknowns:
@@ -17,6 +19,7 @@ class Unknowns:
 
     def __init__(self, bits: int) -> None:
         self._bits = bits
+        self._element = (1 << bits) - 1
         self._value_at = bits * _PLACES
         self._coefficients = (1 << self._value_at) - 1
         self.lost: dict[int, None] = {}
@@ -57,7 +60,8 @@ class Unknowns:
     def _take(self, equation: int) -> dict[int, int]:
         equations, parts = self._equations, [0] * self._bits
         for slot, other in equations.items():
-            _add(parts, self._of(equation, slot), other)
+            for bit in _BITS_OF[self._of(equation, slot)]:
+                parts[bit] ^= other
         equation ^= combine(parts)
         oldest = next((slot for slot in self.lost if self._of(equation, slot)), None)
         if oldest is None:
@@ -66,11 +70,17 @@ class Unknowns:
                 self.contradictions += 1
                 equations.clear()
             return {}
-        factor = inverse(self._of(equation, oldest)) if self._bits > 1 else 1
-        equation = self._times(factor, equation)
+        if (factor := self._of(equation, oldest)) != 1:
+            bits = _BITS_OF[inverse(factor)]
+            equation = combine([equation * (bit in bits) for bit in range(self._bits)])
+        multiples = [equation]
         for slot, other in equations.items():
             if factor := self._of(other, oldest):
-                equations[slot] = other ^ self._times(factor, equation)
+                while len(multiples) < self._bits:
+                    multiples.append(combine((0, multiples[-1])))
+                for bit in _BITS_OF[factor]:
+                    other ^= multiples[bit]
+                equations[slot] = other
         equations[oldest] = equation
         return self._take_solved()
 
@@ -89,15 +99,4 @@ class Unknowns:
 
     def _of(self, equation: int, slot: int) -> int:
         """The coefficient of a slot in an equation."""
-        return equation >> self._place(slot) & (1 << self._bits) - 1
-
-    def _times(self, factor: int, equation: int) -> int:
-        return equation if factor == 1 else combine(_add([0] * self._bits, factor, equation))
-
-
-def _add(parts: list[int], factor: int, equation: int) -> list[int]:
-    """Add an equation to the parts of those bits that the factor has."""
-    for bit in range(factor.bit_length()):
-        if factor >> bit & 1:
-            parts[bit] ^= equation
-    return parts
+        return equation >> self._place(slot) & self._element
