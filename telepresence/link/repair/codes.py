@@ -120,7 +120,7 @@ class BinaryCode:
     def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
         mask, total = _mask(count % _DISTANCES), 0
         for slot, symbol in prepared:
-            if mask >> count - slot & 1:
+            if symbol and mask >> count - slot & 1:
                 total ^= symbol
         return total
 

@@ -35,8 +35,9 @@ class RepairEncoder:
         self._symbols = Symbols(profile)
         self._code = code_of(profile)
         self._credits = _SHORT_CREDITS if profile.pointer_in_vcid else _LONG_CREDITS
-        #: Protected slots, oldest first, with their first and second symbols, prepared.
-        self._protected: deque[tuple[int, int, int]] = deque(maxlen=WINDOW)
+        #: Protected slots, oldest first, with their symbols, prepared: first ones, second ones.
+        self._firsts: deque[tuple[int, int]] = deque(maxlen=WINDOW)
+        self._seconds: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         #: Those behind them, with pointer and zone.
         self._new: deque[tuple[int, int, bytes]] = deque(maxlen=WINDOW)
         self._credit = 0
@@ -65,15 +66,16 @@ class RepairEncoder:
             if not self._credit:
                 return None
             self._credit -= 1
-        protected, prepare = self._protected, self._code.prepare
+        code = self._code
         for slot, pointer, zone in self._new:
             first, second = self._symbols.symbols(pointer, zone)
-            protected.append((slot, prepare(first), prepare(second)))
+            self._firsts.append((slot, code.prepare(first)))
+            if second:
+                self._seconds.append((slot, code.prepare(second)))
         self._new.clear()
-        while protected and protected[0][0] < count - WINDOW:
-            protected.popleft()
-        total = self._code.sum([(slot, first) for slot, first, _ in protected], count)
-        rest = None
-        if plain:
-            rest = self._code.sum([(slot, second) for slot, _, second in protected], count)
-        return self._symbols.pack(total, rest, count) if total or rest else None
+        for protected in (self._firsts, self._seconds):
+            while protected and protected[0][0] < count - WINDOW:
+                protected.popleft()
+        first = code.sum(self._firsts, count)
+        rest = code.sum(self._seconds, count) if plain else None
+        return self._symbols.pack(first, rest, count) if first or rest else None

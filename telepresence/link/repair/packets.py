@@ -78,7 +78,8 @@ class RepairedPackets:
             return
         if content:
             ahead.handle_zone(pointer, zone, count, now_ns)
-        self._settle(now_ns)
+        if next(iter(self._zones)) not in self._decoder.lost:
+            self._settle(now_ns)
 
     def handle_lost(self, first: int, number: int, now_ns: int) -> None:
         """The frames of `number` slots from `first` on did not come."""

@@ -99,4 +99,4 @@ class Unknowns:
 
     def _of(self, equation: int, slot: int) -> int:
         """The coefficient of a slot in an equation."""
-        return equation >> self._place(slot) & self._element
+        return (equation & self._coefficients) >> self._place(slot) & self._element
