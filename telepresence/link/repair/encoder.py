@@ -9,19 +9,19 @@ from telepresence.link.repair.symbols import Content, Symbols
 
 
 class Idle(IntEnum):
-    """How much of the idle slots carries repair.
-
-    FEW restore the first losses, before the other end has reported any.
-    """
+    """How much of the idle slots carries repair."""
 
     NONE = 0
+    #: Enough for the first losses, before the other end has reported any.
     FEW = 1
+    #: Enough for single losses.
     MANY = 2
+    MOST = 3
 
 
 #: Repair zones in idle slots for each protected zone, and the fewest behind one; by `Idle`.
-_SHORT_CREDITS = (0, 0), (0, 1), (1, 4)
-_LONG_CREDITS = (0, 0), (0, 1), (1, 8)
+_SHORT_CREDITS = (0, 0), (0, 2), (1, 4), (1, 4)
+_LONG_CREDITS = (0, 0), (0, 2), (1, 4), (2, 12)
 
 
 class RepairEncoder:
@@ -41,7 +41,7 @@ class RepairEncoder:
         #: Those behind them, with pointer and zone.
         self._new: deque[tuple[int, int, bytes]] = deque(maxlen=WINDOW)
         self._credit = 0
-        self.set_idle(Idle.MANY)
+        self.set_idle(Idle.MOST)
 
     @property
     def least_position(self) -> int:

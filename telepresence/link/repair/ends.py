@@ -70,8 +70,11 @@ class EndRepair:
         self._reserve = reserve
         self._sender.reserve = self._kept
         if self._sender.repair is not None:
-            quiet = Idle.NONE if self.compact else Idle.FEW
-            self._sender.repair.set_idle(Idle.MANY if reserve.active else quiet)
+            if reserve.active:
+                idle = Idle.MOST if self._reported.torn else Idle.MANY
+            else:
+                idle = Idle.NONE if self.compact else Idle.FEW
+            self._sender.repair.set_idle(idle)
 
     def report(self) -> RepairSentMetrics | None:
         """Return what this end sends for repair, and why; None where the setup has no repair."""
