@@ -78,7 +78,7 @@ class RepairDecoder:
 
     def _append(self, count: int, content: Content | None) -> None:
         self.note(content)
-        while self.lost and (oldest := next(iter(self.lost))) <= count - WINDOW:
+        while (oldest := next(iter(self.lost), count)) <= count - WINDOW:
             self.given_up += 1
             for unknowns in self._in_use:
                 if oldest in unknowns.lost:

@@ -55,13 +55,15 @@ class RepairEncoder:
     def protect(self, count: int, pointer: int, zone: bytes) -> None:
         """The slot `count` carries packets, or a supervision message."""
         self._new.append((count, pointer, zone))
-        self._credit = min(max(self._credit + self._per_zone, self._least), WINDOW)
 
     def repair(self, count: int, *, plain: bool, reserved: bool = False) -> Content | None:
         """Pointer and zone of the slot's repair zone; None: it should be idle.
 
         plain: the frame has no sample. reserved: the slot is not idle, so no credit is needed.
         """
+        if new := len(self._new):
+            credit = max(self._credit, self._least - self._per_zone) + new * self._per_zone
+            self._credit = min(credit, WINDOW)
         if not reserved:
             if not self._credit:
                 return None

@@ -18,7 +18,7 @@ from telepresence.link.link_metrics import RepairMetrics
 from telepresence.link.profile import LinkProfile
 from telepresence.link.reassembly import PLACE_SHIFT, PacketReassembly
 from telepresence.link.repair.codes import WINDOW
-from telepresence.link.repair.decoder import RepairDecoder, Restored
+from telepresence.link.repair.decoder import RepairDecoder
 from telepresence.link.repair.symbols import Content, Symbols
 
 #: Voice that comes later than this is of no use, and late packets raise the playout delay.
@@ -83,7 +83,12 @@ class RepairedPackets:
             self._zones[slot] = mended or _NOTHING
             self._wait_max_ns = max(self._wait_max_ns, now_ns - self._came_ns[slot])
             self._anew, self._ahead_at = True, -1
-        self._read_on(now_ns)
+        if self._ahead_at == count and next(iter(self._zones)) in self._decoder.lost:
+            # Nothing else is to be read.
+            _read(self._ahead, content, count, now_ns)
+            self._ahead_at += 1
+        else:
+            self._read_on(now_ns)
 
     def handle_lost(self, first: int, number: int, now_ns: int) -> None:
         """The frames of `number` slots from `first` on did not come."""
