@@ -1,27 +1,15 @@
 """The sending end: the repair zones of one direction. No I/O, no clock."""
 
 from collections import deque
-from enum import IntEnum
 
 from telepresence.link.profile import LinkProfile
 from telepresence.link.repair.codes import WINDOW, code_of
+from telepresence.link.repair.reserve import Idle
 from telepresence.link.repair.symbols import Content, Symbols
-
-
-class Idle(IntEnum):
-    """How much of the idle slots carries repair."""
-
-    NONE = 0
-    #: Enough for the first losses, before the other end has reported any.
-    FEW = 1
-    #: Enough for single losses.
-    MANY = 2
-    MOST = 3
-
 
 #: Repair zones in idle slots for each protected zone, and the fewest behind one; by `Idle`.
 _SHORT_CREDITS = (0, 0), (0, 2), (1, 4), (1, 4)
-_LONG_CREDITS = (0, 0), (0, 2), (1, 4), (2, 12)
+_LONG_CREDITS = (0, 0), (0, 2), (1, 6), (2, 12)
 
 
 class RepairEncoder:
