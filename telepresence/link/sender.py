@@ -215,7 +215,7 @@ class LinkSender:
         if repair is not None:
             if content is not None:
                 repair.protect(count, *content)
-            elif repaired is None and not untold:
+            elif repaired is None and not untold and (repair.credit or repair.new):
                 repaired = repair.repair(count, plain=sample is None)
             if repaired is not None:
                 self._owed = max(0, self._owed - 1)

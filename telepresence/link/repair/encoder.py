@@ -17,6 +17,10 @@ class RepairEncoder:
 
     Idle slots carry as many repair zones as the zones before them earn, so that a link without
     traffic stays idle.
+
+    new: slots protected since a repair zone was last made, with pointer and zone.
+    credit: repair zones that the slots before them have earned. Without both, `repair` returns None
+        for an idle slot.
     """
 
     def __init__(self, profile: LinkProfile) -> None:
@@ -26,9 +30,8 @@ class RepairEncoder:
         #: Protected slots, oldest first, with their symbols, prepared: first ones, second ones.
         self._firsts: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         self._seconds: deque[tuple[int, int]] = deque(maxlen=WINDOW)
-        #: Those behind them, with pointer and zone.
-        self._new: deque[tuple[int, int, bytes]] = deque(maxlen=WINDOW)
-        self._credit = 0
+        self.new: deque[tuple[int, int, bytes]] = deque(maxlen=WINDOW)
+        self.credit = 0
         self.set_idle(Idle.MOST)
 
     @property
@@ -42,27 +45,27 @@ class RepairEncoder:
 
     def protect(self, count: int, pointer: int, zone: bytes) -> None:
         """The slot `count` carries packets, or a supervision message."""
-        self._new.append((count, pointer, zone))
+        self.new.append((count, pointer, zone))
 
     def repair(self, count: int, *, plain: bool, reserved: bool = False) -> Content | None:
         """Pointer and zone of the slot's repair zone; None: it should be idle.
 
         plain: the frame has no sample. reserved: the slot is not idle, so no credit is needed.
         """
-        if new := len(self._new):
-            credit = max(self._credit, self._least - self._per_zone) + new * self._per_zone
-            self._credit = min(credit, WINDOW)
+        if new := len(self.new):
+            credit = max(self.credit, self._least - self._per_zone) + new * self._per_zone
+            self.credit = min(credit, WINDOW)
         if not reserved:
-            if not self._credit:
+            if not self.credit:
                 return None
-            self._credit -= 1
+            self.credit -= 1
         code = self._code
-        for slot, pointer, zone in self._new:
+        for slot, pointer, zone in self.new:
             first, second = self._symbols.symbols(pointer, zone)
             self._firsts.append((slot, code.prepare(first)))
             if second:
                 self._seconds.append((slot, code.prepare(second)))
-        self._new.clear()
+        self.new.clear()
         for protected in (self._firsts, self._seconds):
             while protected and protected[0][0] < count - WINDOW:
                 protected.popleft()

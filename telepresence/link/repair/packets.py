@@ -36,9 +36,11 @@ class RepairedPackets:
     """
 
     def __init__(self, profile: LinkProfile, settled: PacketReassembly) -> None:
-        self._symbols = Symbols(profile)
+        symbols = Symbols(profile)
+        self._is_repair, self._repair_pointers = symbols.is_repair, symbols.repair_pointers
         self._supervision = Pointers(profile).supervision
         self._decoder = RepairDecoder(profile)
+        self._note = self._decoder.note
         self._settled = settled
         self._ahead = settled
         #: The next zone that it reads; -1: one before that was restored, so another has to read.
@@ -65,10 +67,10 @@ class RepairedPackets:
 
     def handle_zone(self, pointer: int, zone: bytes, count: int, now_ns: int) -> None:
         """The frame of the slot came."""
-        is_repair = self._symbols.is_repair(pointer, zone)
         if not self._zones:
-            self._decoder.note((pointer, zone))
-            if not is_repair:
+            # This is all that repair costs in a slot of a link that loses nothing.
+            self._note((pointer, zone))
+            if pointer not in self._repair_pointers or not self._is_repair(pointer, zone):
                 self._settled.handle_zone(pointer, zone, count, now_ns)
             return
         restored = self._decoder.handle_zone(count, pointer, zone)
@@ -76,7 +78,7 @@ class RepairedPackets:
         if pointer == self._supervision:
             # It is read at once, and once.
             self._settled.handle_zone(pointer, zone, count, now_ns)
-        elif not is_repair:
+        elif not self._is_repair(pointer, zone):
             content = pointer, zone
         self._zones[count], self._came_ns[count] = content, now_ns
         for slot, mended in restored:

@@ -53,6 +53,12 @@ class Symbols:
         self._marks = 1 << self._mark_bits
         self._first_code = _first_code(profile)
         self._zeros = bytes(size)
+        #: Pointers that repair zones have; only `is_repair` tells whether a zone with one is one.
+        first_code = self._first_code
+        self.repair_pointers = frozenset(range(first_code, first_code + self._marks))
+        if self._short:
+            self.repair_pointers = frozenset(range(first_code, pointers.supervision))
+            self.repair_pointers |= {pointers.idle}
         self._supervision = size + 3
         mark_of = {position: position + 1 for position in range(size)}
         mark_of |= {size: size + 1, pointers.no_start: size + 1, pointers.preempt: size + 2}
@@ -85,8 +91,7 @@ class Symbols:
                 return pointer == _PLAIN_REPAIR
             if pointer == self._pointers.idle:
                 return zone != self._zeros
-            return self._size < pointer < self._pointers.supervision
-        return self._first_code <= pointer < self._first_code + self._marks
+        return pointer in self.repair_pointers
 
     def symbols(self, pointer: int, zone: bytes) -> tuple[int, int]:
         """First and second symbol of a slot; an idle slot and a repair zone have 0.
