@@ -56,7 +56,6 @@ class LinkSender:
 
     repair: fills idle zones; None: they stay idle.
     reserve: the slots that are kept for repair.
-    repairs_idle: whether idle zones carry repair beside that.
     """
 
     def __init__(
@@ -109,7 +108,6 @@ class LinkSender:
         #: Only the next zone's pointer tells that the packet in flight ended with the last zone.
         self._end_untold = False
         self.reserve = NOTHING
-        self.repairs_idle = True
         #: Repair zones that the reserve still asks for.
         self._owed = 0
 
@@ -217,7 +215,7 @@ class LinkSender:
         if repair is not None:
             if content is not None:
                 repair.protect(count, *content)
-            elif repaired is None and not untold and self.repairs_idle:
+            elif repaired is None and not untold and (repair.credit or repair.new):
                 repaired = repair.repair(count, plain=sample is None)
             if repaired is not None:
                 self._owed = max(0, self._owed - 1)

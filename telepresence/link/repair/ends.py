@@ -2,7 +2,7 @@
 
 from telepresence.link.link_metrics import RepairSentMetrics
 from telepresence.link.receiver import LinkReceiver
-from telepresence.link.repair.reserve import NOTHING, PARTS, Growth, Kept, Loss, Reserve
+from telepresence.link.repair.reserve import NOTHING, PARTS, Growth, Idle, Kept, Loss, Reserve
 from telepresence.link.sender import LinkSender
 
 
@@ -11,7 +11,7 @@ class EndRepair:
 
     on: whether both ends have repair; `set` changes it.
     compact: idle octets cost nothing on the path, so idle zones carry repair only while losses are
-        reported; `set_compact` changes it.
+        reported; `set_compact` changes it. On other paths a few do without losses.
     """
 
     def __init__(self, sender: LinkSender, receiver: LinkReceiver) -> None:
@@ -21,6 +21,7 @@ class EndRepair:
         self._reported = Loss()
         self.on = True
         self.compact = False
+        self._use(self._reserve)
 
     @property
     def leave_out(self) -> int:
@@ -67,7 +68,9 @@ class EndRepair:
     def _use(self, reserve: Reserve) -> None:
         self._reserve = reserve
         self._sender.reserve = self._kept
-        self._sender.repairs_idle = reserve.active or not self.compact
+        if self._sender.repair is not None:
+            wasted = self.compact and not reserve.active
+            self._sender.repair.set_idle(Idle.NONE if wasted else reserve.idle)
 
     def report(self) -> RepairSentMetrics | None:
         """Return what this end sends for repair, and why; None where the setup has no repair."""
