@@ -110,6 +110,8 @@ class LinkSender:
         self._end_untold = False
         self.reserve = NOTHING
         self.repairs_idle = True
+        #: Packets of the lowest level wait, but for one that has begun.
+        self.holds_maintenance = False
         #: Repair zones that the reserve still asks for.
         self._owed = 0
 
@@ -351,6 +353,8 @@ class LinkSender:
                 waiting[level] = None
                 if queue.continues(now_ns):
                     return begun
+            if level == Level.MAINTENANCE and self.holds_maintenance:
+                return None
             if queue.octets and queue.waiting(now_ns):
                 return self._begin(level, now_ns)
         for level in self._limited:
