@@ -262,13 +262,6 @@ def noticed(tree: Path, places: list[str], limit_s: float) -> str | None:
     return f"exit code {run.exitcode}" if run.exitcode else None
 
 
-def _copy_tree(to: Path) -> Path:
-    tree = to / "tree"
-    ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".hypothesis", ".*_cache")
-    shutil.copytree(ROOT, tree, ignore=ignored)
-    return tree
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("modules", nargs="+", help="files or folders")
@@ -287,7 +280,9 @@ def main() -> int:
     sys.dont_write_bytecode = True
     total = missed = 0
     with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
-        tree = _copy_tree(Path(folder))
+        tree = Path(folder) / "tree"
+        ignored = shutil.ignore_patterns(".git", ".venv", "__pycache__", ".hypothesis", ".*_cache")
+        shutil.copytree(ROOT, tree, ignore=ignored)
         limits_s: dict[tuple[str, ...], float] = {}
         for module, found in _chosen(options).items():
             if not found:

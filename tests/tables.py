@@ -139,15 +139,15 @@ def _with_helpers(file: Path) -> tuple[tuple[str, ...], ...]:
     return tuple(_words(one) for one in (file, *near))
 
 
-def _has(texts: tuple[tuple[str, ...], ...], words: tuple[str, ...]) -> bool:
-    return any(set(words) <= set(text) for text in texts)
-
-
 @cache
 def tests_of_commands() -> dict[str, list[Path]]:
     """The test files that run a command."""
     return {
-        " ".join(words): [file for file in test_files() if _has(_with_helpers(file), words)]
+        " ".join(words): [
+            file
+            for file in test_files()
+            if any({*words} <= {*text} for text in _with_helpers(file))
+        ]
         for words in commands()
     }
 

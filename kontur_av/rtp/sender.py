@@ -184,6 +184,10 @@ class RtpSender:
         self._sequence = (self._sequence + 1) & 0xFFFF
         return packet
 
+    def handle_contact(self, now_ns: int) -> None:
+        """The receiver is there only now: it needs a report to date what it gets."""
+        self._timer.handle_contact(now_ns)
+
     def poll_timeout(self) -> int | None:
         """Return when `poll_report` is due next; None before the first media packet."""
         return self._timer.poll_timeout()

@@ -117,7 +117,6 @@ class VideoSender(PacedSender):
         self._way_back: bool | None = None
         #: None: to be set at the next picture.
         self._assumed_until_ns: int | None = None
-        self._contacts: int | None = None
         self._keyframe_due = False
         self._coded_cap_bps = cap_bps
         # When the newest picture came; when the one in the encoder came and was begun.
@@ -150,11 +149,10 @@ class VideoSender(PacedSender):
         way_back: the receiver can be heard now.
         """
         self._scheduler.handle_channel(waiting_octets, self._pacer.channel_bps, told_ns)
-        if self._contacts is not None and contacts != self._contacts:
+        if self.handle_contacts(contacts, told_ns):
             # Pictures sent without contact did not arrive, so none may refer to them.
             self._keyframe_due = True
             self._assumed_until_ns = None
-        self._contacts = contacts
         self._way_back = way_back
         if way_back:
             self._assumed_until_ns = told_ns

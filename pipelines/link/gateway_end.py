@@ -118,6 +118,7 @@ class GatewayEnd:
         _note_clock(probe, metrics)
         if peer is not None:
             probe.publish(peer)
+            self.gateway.repair.set_compact(peer.compact)
         if self._radio_in is not None:
             probe.publish(WayInMetrics(radio_back=self._radio_in.report()))
         return metrics

@@ -202,8 +202,6 @@ class PeerSocket:
             self._found.append(host_port(known[0][4]))
 
 
-#: Slots of which the frames go in one datagram.
-BATCHES_MS = (1, 2, 4)
 _ANY, _ANY_6 = "0.0.0.0", "::"
 #: What stays visible as long as an end runs with `--insecure`.
 INSECURE = "this path is not protected: anybody on it can read, change and steer"
@@ -211,14 +209,17 @@ INSECURE = "this path is not protected: anybody on it can read, change and steer
 
 def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
     """The end that the options name; None: both run here. ConfigError if it cannot work."""
+    radio = topology.setup.radio_profile
+    if radio.network is not None:
+        raise ConfigError(
+            f"radio {radio.name} has a network, for `simulate` and `sweep`; between two live "
+            "ends it is `kontur-av bench path`"
+        )
     if args.end is None:
         why = " is for one end alone: add --end ground or --end space"
         names = ("listen", "peer", "key", "identity", "insecure", "path_batch_ms", "path")
         refuse_options(args, why, *names)
         return None
-    batch_ms = 1 if args.path_batch_ms is None else args.path_batch_ms
-    if batch_ms not in BATCHES_MS:
-        raise ConfigError(f"--path-batch-ms {batch_ms}: take 1, 2 or 4")
     segment = Segment(args.end)
     bind, peer, host = _addresses(args, topology)
     return PeerPlan(
@@ -227,8 +228,8 @@ def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
         peer=peer,
         host=host,
         protection=_protection(args),
-        batch_ms=batch_ms,
-        compact=args.path == "compact",
+        batch_ms=topology.setup.path_batch_ms,
+        compact=topology.setup.path == "compact",
     )
 
 

@@ -394,8 +394,6 @@ class _GatewayLoop:
         probe.publish(SocketMetrics(unsent=refused, unknown_senders=ports.unknown_senders()))
         self._end.handle_refused(refused, ports.to_peer.why, now_ns)
         path = None if self._path is None else self._path.report()
-        if path is not None:
-            self._end.gateway.repair.set_compact(path.compact)
         metrics = self._end.publish(now_ns, path)
         if self.topics is not None:
             self.topics.handle_metrics(metrics, now_ns)

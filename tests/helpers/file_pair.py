@@ -1,8 +1,7 @@
 """Two ends of the file transfer with directories in memory, and a bad link between them."""
 
-from random import Random
+from lossy_pair import LossyPair
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.files.entity import STORE, DirectoryJob, FileEntity, Transfer
 from telepresence.files.pdus import GET, LIST, REMOVE, RENAME
 
@@ -57,8 +56,8 @@ class FileEnd:
         return "", b""
 
 
-class FilePair:
-    """Ground and space. By seed: PDUs are lost, doubled and overtaken; contact comes and goes."""
+class FilePair(LossyPair):
+    """Ground and space with PDUs between them."""
 
     def __init__(
         self,
@@ -67,41 +66,20 @@ class FilePair:
         loss: float = 0.0,
         doubled: float = 0.0,
         overtaken: float = 0.0,
-        delay_ns: int = 20 * NS_PER_MS,
+        delay_ns: int = LossyPair.delay_ns,
         **options: int,
     ) -> None:
-        self.now_ns = 0
+        super().__init__(seed, loss=loss, doubled=doubled, overtaken=overtaken)
+        self.delay_ns = delay_ns
         self.ground = FileEnd(GROUND, SPACE, **options)
         self.space = FileEnd(SPACE, GROUND, **options)
-        self.contact = True
         self.sent: list[bytes] = []
-        self._random = Random(seed)
-        self._loss, self._doubled, self._overtaken = loss, doubled, overtaken
-        self._delay_ns = delay_ns
-        self._flying: list[tuple[int, FileEnd, bytes]] = []
 
-    def run(self, seconds: float, step_ns: int = 10 * NS_PER_MS) -> None:
-        until_ns = self.now_ns + round(seconds * NS_PER_S)
-        while self.now_ns < until_ns:
-            self.now_ns += step_ns
-            self.step()
+    def tell(self, end: FileEnd) -> FileEntity:
+        return end.entity
 
-    def step(self) -> None:
-        now_ns, random = self.now_ns, self._random
-        for end in (self.ground, self.space):
-            end.entity.handle_link(heard=self.contact, waiting_octets=0, now_ns=now_ns)
-        if not self.contact:
-            self._flying.clear()
-        arrived = [one for one in self._flying if one[0] <= now_ns]
-        arrived.sort(key=lambda one: one[0])
-        self._flying = [one for one in self._flying if one[0] > now_ns]
-        for _, end, pdu in arrived:
-            end.entity.handle_pdu(pdu, now_ns)
-        for end, other in ((self.ground, self.space), (self.space, self.ground)):
-            for pdu in end.work(now_ns):
-                self.sent.append(pdu)
-                for _ in range(2 if random.random() < self._doubled else 1):
-                    if random.random() < self._loss:
-                        continue
-                    late_ns = random.randrange(NS_PER_S) if random.random() < self._overtaken else 0
-                    self._flying.append((now_ns + self._delay_ns + late_ns, other, pdu))
+    def take(self, end: FileEnd, pdu: bytes) -> None:
+        end.entity.handle_pdu(pdu, self.now_ns)
+
+    def note(self, end: FileEnd, pdu: bytes) -> None:
+        self.sent.append(pdu)

@@ -5,29 +5,20 @@ from typing import NamedTuple
 from telepresence.haptics.sample import Command, Feedback, read_command, read_feedback
 
 
-class CommandSample(NamedTuple):
-    """A received command with session number, sequence number (0 to 65535) and flags octet."""
+class Sample(NamedTuple):
+    """A received sample with session number, sequence number (0 to 65535) and flags octet."""
 
     session: int
     sequence: int
     flags: int
-    value: Command
+    value: Command | Feedback
 
 
-class FeedbackSample(NamedTuple):
-    """A received feedback with session number, sequence number (0 to 65535) and flags octet."""
-
-    session: int
-    sequence: int
-    flags: int
-    value: Feedback
-
-
-def unpack_command(data: bytes) -> CommandSample:
+def unpack_command(data: bytes) -> Sample:
     """Parse `data`; ProtocolError unless it is exactly one command sample."""
-    return CommandSample(*read_command(data))
+    return Sample(*read_command(data))
 
 
-def unpack_feedback(data: bytes) -> FeedbackSample:
+def unpack_feedback(data: bytes) -> Sample:
     """Parse `data`; ProtocolError unless it is exactly one feedback sample."""
-    return FeedbackSample(*read_feedback(data))
+    return Sample(*read_feedback(data))

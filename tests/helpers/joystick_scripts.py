@@ -26,6 +26,16 @@ def play(script, answer, most_ms=70_000):
     raise AssertionError("the script does not end")
 
 
+def operated(operation, milliseconds, now_ns=0):
+    """Operate a joystick without force for so long; return the instant."""
+    for _ in range(milliseconds):
+        now_ns += MS
+        operation.handle_reading(now_ns)
+        operation.handle_force(0.0, 0.0)
+        operation.device.advance(MS)
+    return now_ns
+
+
 def begun(function, *arguments, **options):
     """A script that is handed its first cycle."""
     cycle = yield IDLE

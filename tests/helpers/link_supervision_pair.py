@@ -5,7 +5,12 @@ from random import Random
 
 from telepresence.link.flows import tmtc_flow, video_flow, voice_flow
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.supervision.message import Configuration, LinkState
+from telepresence.link.supervision.message import (
+    Configuration,
+    LinkState,
+    MessageKind,
+    SupervisionMessage,
+)
 from telepresence.link.supervision.record import PeerDoubted
 from telepresence.link.supervision.supervisor import Encounter, Supervisor
 
@@ -15,6 +20,13 @@ UP = [tmtc_flow("tc"), voice_flow("voice"), video_flow("video")]
 DOWN = [tmtc_flow("tm"), video_flow("video")]
 GROUND = Configuration(transmit=UPLINK, transmit_flows=UP, receive=DOWNLINK, receive_flows=DOWN)
 SPACE = Configuration(transmit=DOWNLINK, transmit_flows=DOWN, receive=UPLINK, receive_flows=UP)
+
+
+def alive(**fields):
+    """A message of a slave that has a signal and fresh data."""
+    flags = {"master": False, "signal": True, "application": False, "fresh": True, "sending": False}
+    kind = {"kind": MessageKind.ALIVE, "state": LinkState.APPROVE}
+    return SupervisionMessage(**{**kind, **flags, **fields})
 
 
 class End:

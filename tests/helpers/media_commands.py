@@ -55,10 +55,6 @@ def output_of(one, octets: int) -> bytes:
         if (now := os.fstat(one.data.fileno()).st_size) > size:
             size, until = now, time.monotonic() + 15
         time.sleep(0.05)
-    return _data(one)
-
-
-def _data(one) -> bytes:
     _kill(one)
     one.data.seek(0)
     return one.data.read()

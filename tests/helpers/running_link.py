@@ -6,39 +6,17 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-from common import WORKER, eventually
+from running_session import COMMAND, RunningSession, eventually, free_base_port
 
 from pipelines.session.command_process import end_with_parent
 from pipelines.session.setup.setup_file import BUILT_IN
-from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
 
-COMMAND = (sys.executable, "-m", "pipelines.cli")
 #: Protects against a hang; no test result depends on it.
 TIMEOUT_S = 40.0
-
-
-def free_base_port(hosts=("127.0.0.1",)):
-    """Return the first of a block of ports that are free on all `hosts`."""
-    bases = range(20_000, 26_960 - PORTS, PORTS)[WORKER % 4 :: 4]
-    # Another run of these tests on the same machine begins elsewhere.
-    first = os.getpid() % len(bases)
-    for base in (*bases[first:], *bases[:first]):
-        with contextlib.ExitStack() as stack:
-            try:
-                for host in hosts:
-                    for port in range(base, base + PORTS):
-                        udp = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-                        udp.bind((host, port))
-            except OSError:
-                continue
-            return base
-    pytest.skip("no block of free UDP ports")
 
 
 def listening(port, host="127.0.0.1"):
@@ -58,7 +36,7 @@ def came(udp):
     return found
 
 
-class RunningLink:
+class RunningLink(RunningSession):
     """The command with options. Its exit ends the process in any case.
 
     prefix: command that runs it, such as `ip netns exec NAME`.
@@ -82,9 +60,7 @@ class RunningLink:
             start_new_session=True,
             preexec_fn=end_with_parent,
         )
-
-    def __enter__(self):
-        return self
+        self.seen_pids = set()
 
     def __exit__(self, *_):
         if self.process.poll() is None:
@@ -99,6 +75,8 @@ class RunningLink:
     def output(self):
         return self._out_path.read_text()
 
+    errors = output
+
     def lines(self):
         """Return the lines of figures so far."""
         return [line for line in self.output().splitlines() if line.lstrip()[:1].isdigit()]
@@ -112,15 +90,6 @@ class RunningLink:
             return [line for line in self.lines()[seen:] if word in line]
 
         return eventually(there, f"a line with {word!r}")
-
-    def children(self):
-        path = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        return [int(pid) for pid in path.read_text().split()]
-
-    def interrupt(self):
-        """Press Ctrl-C; return the exit code and the report."""
-        self.process.send_signal(signal.SIGINT)
-        return self.end()
 
     def end(self):
         """Wait for the end; return the exit code and the report."""

@@ -47,12 +47,3 @@ def running(session, part, *, setup=SETUP, pages=False, **arguments):
         context.flush(CLOCK.now_ns())
         listen()
         theirs.close()
-
-
-def stream_gateway(session, stream):
-    """The two functions by which a gateway sends a stream's RTP and RTCP to its receiver."""
-    topology = topology_of(SETUP)
-    context = Context(session=session, topology=topology, clock=CLOCK)
-    return [
-        context.sender(topology.exit_port(name)) for name in (stream.name, f"{stream.name}_rtcp")
-    ]

@@ -248,6 +248,21 @@ class RunningSession:
         self.process.send_signal(signal.SIGINT)
         return self.end()
 
+    def finish(self, *, silent=False, clean=False, sound=False):
+        """Press Ctrl-C; it must end with 0. Return the report.
+
+        silent: it said nothing on standard error. clean: nothing of it is left. sound: see
+        `assert_sound`.
+        """
+        code, report = self.interrupt()
+        assert code == 0, (self.errors(), report["failures"])
+        assert not silent or self.errors() == ""
+        if clean:
+            self.assert_nothing_left()
+        if sound:
+            assert_sound(report)
+        return report
+
     def end(self):
         """Wait for the end; return the exit code and the report."""
         code = self.process.wait(TIMEOUT_S)

@@ -2,7 +2,9 @@
 
 from random import Random
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from lossy_pair import LossyPair
+
+from kontur_av.clock import NS_PER_S
 from telepresence.services.streams import ServiceStreams, StreamClosed, StreamEnded, StreamOpened
 
 
@@ -82,26 +84,16 @@ class ServiceEnd:
         return sent
 
 
-class ServicePair:
-    """Ground and space. By seed: datagrams are lost, doubled, overtaken; contact comes and goes."""
+class ServicePair(LossyPair):
+    """Ground and space with datagrams between them."""
 
-    def __init__(
-        self,
-        seed: int = 0,
-        *,
-        loss: float = 0.0,
-        doubled: float = 0.0,
-        overtaken: float = 0.0,
-        rate_bps: int = 200_000,
-    ) -> None:
-        self.now_ns = 0
+    overtaken_ns = 2 * NS_PER_S
+
+    def __init__(self, seed: int = 0, *, rate_bps: int = 200_000, **path: float) -> None:
+        super().__init__(seed, **path)
         self.ground = ServiceEnd(2 * seed, rate_bps=rate_bps)
         self.space = ServiceEnd(2 * seed + 1, rate_bps=rate_bps)
-        self.contact = True
         self.sent_octets = {self.ground: 0, self.space: 0}
-        self._random = Random(seed)
-        self._loss, self._doubled, self._overtaken = loss, doubled, overtaken
-        self._flying: list[tuple[int, ServiceEnd, bytes]] = []
         self.step()
 
     def opened(self) -> tuple[LocalProgram, LocalProgram]:
@@ -113,28 +105,11 @@ class ServicePair:
         (token,) = set(self.space.programs) - before
         return here, self.space.programs[token]
 
-    def run(self, seconds: float, step_ns: int = 10 * NS_PER_MS) -> None:
-        until_ns = self.now_ns + round(seconds * NS_PER_S)
-        while self.now_ns < until_ns:
-            self.now_ns += step_ns
-            self.step()
+    def tell(self, end: ServiceEnd) -> ServiceStreams:
+        return end.streams
 
-    def step(self) -> None:
-        now_ns, random = self.now_ns, self._random
-        for end in (self.ground, self.space):
-            end.streams.handle_link(heard=self.contact, waiting_octets=0, now_ns=now_ns)
-        if not self.contact:
-            self._flying.clear()
-        arrived = sorted((one for one in self._flying if one[0] <= now_ns), key=lambda one: one[0])
-        self._flying = [one for one in self._flying if one[0] > now_ns]
-        for _, end, octets in arrived:
-            end.streams.handle_datagram(octets, now_ns)
-        for end, other in ((self.ground, self.space), (self.space, self.ground)):
-            for octets in end.work(now_ns):
-                self.sent_octets[end] += len(octets)
-                for _ in range(2 if random.random() < self._doubled else 1):
-                    if random.random() < self._loss:
-                        continue
-                    late = random.random() < self._overtaken
-                    late_ns = random.randrange(2 * NS_PER_S) if late else 0
-                    self._flying.append((now_ns + 20 * NS_PER_MS + late_ns, other, octets))
+    def take(self, end: ServiceEnd, octets: bytes) -> None:
+        end.streams.handle_datagram(octets, self.now_ns)
+
+    def note(self, end: ServiceEnd, octets: bytes) -> None:
+        self.sent_octets[end] += len(octets)

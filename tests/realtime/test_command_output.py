@@ -122,12 +122,8 @@ def test_an_export_that_is_ended_leaves_nothing(number, tmp_path):
     words = ["export", "a.mcap", "--csv", "out", "--lerobot", "set"]
     process = start(*words, program=("-c", ENDLESS), stdout=subprocess.DEVNULL, cwd=tmp_path)
     eventually(lambda: [*tmp_path.glob("out/*.unfinished")], "a table", pause_s=0.001)
-    child = children_of(process.pid)
+    child = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     process.send_signal(number)
     assert ended(process) == (130, "")
     assert not [one for one in child if Path(f"/proc/{one}").exists()]
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
-
-
-def children_of(pid) -> list[str]:
-    return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 from file_transfer import Transfer
-from running_session import RunningSession, assert_sound, eventually
+from running_session import RunningSession, eventually
 
 #: Some seconds, in which another command can begin.
 DOWN = Random(1).randbytes(200_000)
@@ -93,9 +93,7 @@ def test_a_killed_receiver_gets_the_file_again_and_media_waited_for_no_file(sess
     eventually(again.exists, "the second way of the file")
     assert again.read_bytes() == DOWN
     session.wait_for_flow()
-    code, report = session.interrupt()
-    assert code == 0
-    assert_sound(report)
+    report = session.finish(sound=True)
     for link in report["link"].values():
         drops = link["queue"]["maintenance"]["drops"]
         assert (drops["full"], drops["expired"]) == (0, 0)

@@ -156,8 +156,7 @@ class Run:
                 return again.messages()
 
             eventually(comes_again, "messages after the kill")
-            code, self.report = session.interrupt()
-            assert code == 0, (session.errors(), self.report["failures"])
+            self.report = session.finish()
         self.received, self.recorded = self.looker.messages(), recorded(path)
 
     def _look(self, looker):
@@ -248,9 +247,7 @@ def test_over_tls_a_client_leads_a_task_by_services(start, tmp_path):
     finally:
         looker.end()
         watcher.end()
-    code, report = session.interrupt()
-    assert code == 0, (session.errors(), report["failures"])
-    assert_sound(report)
+    report = session.finish(sound=True)
     (row,) = report["tasks"]
     assert (row["name"], row["result"]) == (task, "aborted")
     assert report["foxglove"]["calls"] == next(numbers) - 2

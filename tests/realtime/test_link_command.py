@@ -23,7 +23,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
-from telepresence.link.path.network import NetworkConditions, NetworkPath
+from telepresence.link.radio.network import Network, NetworkPath
 
 SPACEJUSTIN = BUILT_IN["spacejustin"]
 FLOWS = [row.flow for row in topology_of(SPACEJUSTIN).streams if row.flow is not None]
@@ -64,11 +64,6 @@ def until_through(sender, to, receiver, data):
     eventually(through, f"{data!r} from {to} through the link")
 
 
-def rtp(sequence, payload_type=96):
-    header = bytes([0x80, payload_type]) + sequence.to_bytes(2, "big") + bytes(8)
-    return header + b"payload"
-
-
 def test_programs_talk_through_it_and_strangers_do_not(start, program):
     link = start("--setup", "spacejustin")
     session = link.topology
@@ -79,7 +74,7 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
         until_through(anyone, ("127.0.0.1", session.entry_port(name)), exits[name], name.encode())
     for name in ("uplink_video", "downlink_video", "uplink_voice", "downlink_voice"):
         where = "127.0.0.1", session.entry_port(name)
-        until_through(anyone, where, exits[name], rtp(7))
+        until_through(anyone, where, exits[name], b"\x80\x60\0\7" + bytes(8) + b"payload")
     joystick, robot = (
         program(session.exit_port("uplink_haptic")),
         program(session.exit_port("downlink_haptic")),
@@ -114,8 +109,7 @@ def test_programs_talk_through_it_and_strangers_do_not(start, program):
         return any("ground connected" in line for line in link.lines())
 
     eventually(connected, "application data both ways")
-    code, report = link.interrupt()
-    assert code == 0, link.output()
+    report = link.finish()
 
     assert_books_are_right(report, SPACEJUSTIN)
     assert report["failures"] == []
@@ -157,8 +151,7 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
         # A whole frame, but not in a record.
         here.sendto(bytes(500), ("127.0.0.2", bases[0]))
     until_through(there, entry, down, b"down")
-    code, report = ground.interrupt()
-    assert code == 0, ground.output()
+    report = ground.finish()
     assert report["ends"] == ["ground"]
     assert report["link"]["downlink"]["packets"]["downlink_maintenance"] > 0
     assert_books_are_right(report, BUILT_IN["taskboard"])
@@ -166,8 +159,7 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
     assert path["protected"]
     assert path["session_ns"] is not None
     assert path["dropped"]["malformed"] == 3
-    code, report = space.interrupt()
-    assert code == 0, space.output()
+    report = space.finish()
     assert report["gateways"]["space"]["unknown_senders"] == {"downlink_maintenance": 3}
     assert report["gateways"]["space"]["peer"]["address"] == where
     assert set(came(down)) <= {b"down"}
@@ -179,9 +171,7 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
 
 def test_two_ends_over_a_network_that_loses_and_reorders(start, program, keys):
     base = free_base_port()
-    bad = NetworkConditions(
-        delay_ns=5_000_000, loss=0.01, reordered=0.05, reorder_ns=4_000_000, repeated=0.01
-    )
+    bad = Network(delay_ms=5, loss=0.01, reordered=0.05, reorder_ms=4, repeated=0.01)
     ways = (NetworkPath(bad, 1), NetworkPath(bad, 2))
     relay, stop = PathRelay(("127.0.0.1", base), *ways, time.monotonic_ns), threading.Event()
     thread = threading.Thread(target=relay.run, args=(stop.is_set,), daemon=True)
@@ -201,8 +191,7 @@ def test_two_ends_over_a_network_that_loses_and_reorders(start, program, keys):
     until_through(program(0), ("127.0.0.1", entry), up, b"up")
     time.sleep(2)
     for name, end in ends.items():
-        code, report = end.interrupt()
-        assert code == 0, end.output()
+        report = end.finish()
         path = report["gateways"][name]["peer"]
         assert path["bundled"] and path["compact"] and path["frames_put_back"] > 0
     stop.set()

@@ -12,7 +12,7 @@ import pytest
 from common import psnr_db
 from mcap.reader import make_reader
 from page_client import Visitor, decoded, hand, unit_of, visit
-from running_session import RunningSession, assert_sound, eventually
+from running_session import RunningSession, eventually
 
 SETUP = "spacejustin"
 SELECT = {"application": "camera", "name": "select", "arguments": ["static"]}
@@ -23,12 +23,8 @@ def session(tmp_path_factory):
     with RunningSession(SETUP, "--page", "8310", directory=tmp_path_factory.mktemp("pages")) as one:
         one.wait_for_flow()
         yield one
-        code, report = one.interrupt()
-        one.assert_nothing_left()
-        assert code == 0, one.errors()
-        assert_sound(report)
-        processes = report["processes"]
-        assert processes["page_space"]["restarts"] == 0
+        report = one.finish(clean=True, sound=True)
+        assert report["processes"]["page_space"]["restarts"] == 0
 
 
 def connects(url):
@@ -76,10 +72,8 @@ def test_over_tls_pages_get_streams_of_hevc_as_h264(tmp_path):
             visit(pages["space"], lambda visitor: visitor.get("/"))
         for seat in ("ground", "space"):
             visit(pages[seat], deeds, tls=tls)
-        code, report = one.interrupt()
+        report = one.finish(clean=True)
         assert not connects(pages["space"])
-        one.assert_nothing_left()
-        assert code == 0
         assert report["processes"]["page_space"]["restarts"] == 0
 
 

@@ -9,10 +9,9 @@ from collections import Counter
 
 import av
 import numpy as np
-import pytest
 from mcap.reader import make_reader
 from mcap.records import Metadata
-from running_session import COMMAND, TIMEOUT_S, assert_sound, eventually
+from running_session import COMMAND, eventually
 from xtce_decoder import decoded
 
 from pipelines.cli import main
@@ -57,10 +56,7 @@ def kept(report):
 
 
 def record(session, *words):
-    command = [*COMMAND, "record", *map(str, words)]
-    return subprocess.run(
-        command, capture_output=True, text=True, timeout=TIMEOUT_S, env=session.environment
-    )
+    return session.ask("record", *map(str, words))
 
 
 def parts_of(path):
@@ -79,10 +75,7 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
     assert not (tmp_path / "other.mcap").exists()
     eventually((tmp_path / "run-2.mcap").exists, "a second part after 1 MB")
     session.wait_for_flow()
-    code, report = session.interrupt()
-    assert code == 0, (session.errors(), report["failures"])
-    session.assert_nothing_left()
-    assert_sound(report)
+    report = session.finish(clean=True, sound=True)
     found = sum(map(counted, parts_of(path)), Counter())
     assert found == kept(report)
     scans = [scanned(part) for part in parts_of(path)]
@@ -144,9 +137,7 @@ def test_a_killed_recorder_goes_on_in_a_new_part(start, tmp_path):
     eventually(lambda: path.exists() and path.stat().st_size > 100_000, "a second in the file")
     os.kill(pids["recorder"], signal.SIGKILL)
     eventually(lambda: second.exists() and second.stat().st_size > 100_000, "a second part")
-    code, report = session.interrupt()
-    assert code == 0, (session.errors(), report["failures"])
-    session.assert_nothing_left()
+    report = session.finish(clean=True)
     assert report["recorder"]["parts"] == 2
     scan, messages, capabilities = scanned(path)
     assert not scan.metrics.closed and not scan.metrics.orphans
@@ -183,9 +174,7 @@ def test_a_terminal_joins_a_session_and_leaves_it_again(start, tmp_path):
     process.wait()
     eventually(lambda: scanned(second)[0].metrics.sound, "the end of the second recording")
     session.wait_for_flow()
-    code, report = session.interrupt()
-    assert code == 0, (session.errors(), report["failures"])
-    session.assert_nothing_left()
+    report = session.finish(clean=True)
     assert report["recorder"]["parts"] == 2 + len(parts)
 
 
@@ -206,9 +195,7 @@ def test_a_full_disk_does_not_end_the_session(start, tmp_path, monkeypatch):
         return max(tmp_path.glob("run-*.mcap"), key=lambda each: int(each.stem[4:]), default=None)
 
     eventually(lambda: newest() is not None and newest().stat().st_size > 200_000, "a new part")
-    code, report = session.interrupt()
-    assert code == 0, (session.errors(), report["failures"])
-    session.assert_nothing_left()
+    report = session.finish(clean=True)
     assert report["processes"]["recorder"]["restarts"] == 0
     recorder = report["recorder"]
     assert recorder["disk_faults"] >= 1 and recorder.get("fault") is None
@@ -220,24 +207,3 @@ def test_a_full_disk_does_not_end_the_session(start, tmp_path, monkeypatch):
     assert all(not scan.metrics.holes for scan, _, _ in scans)
     total = Counter(each.channel.topic for _, messages, _ in scans for each in messages)
     assert total == kept(report)
-
-
-@pytest.mark.parametrize("words", [(), ("--seconds", "1")], ids=["stream", "record"])
-def test_without_a_session_nothing_is_recorded(tmp_path, monkeypatch, capsys, words):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    path = tmp_path / "a.mcap"
-    assert main(["record", str(path), *words]) == 2
-    assert "no session is running" in capsys.readouterr().err
-    assert not path.exists()
-
-
-def test_without_a_directory_or_over_a_file_no_recorded_session_begins(
-    tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    kept_file = tmp_path / "kept.mcap"
-    kept_file.write_bytes(b"kept")
-    for file in (kept_file, tmp_path / "none" / "a.mcap", tmp_path):
-        assert main(["stream", "--setup", "taskboard", "--record", str(file)]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
-    assert kept_file.read_bytes() == b"kept"

@@ -128,9 +128,8 @@ class Run:
                 *((self.setup_topic, 0), ("/diagnostics", 1)),
             ):
                 eventually(lambda at=(topic, more_than): peer.heard(at[0]) > at[1], topic)
-            self.code, self.report = session.interrupt()
+            self.report = session.finish()
             heard = peer.end()
-            assert self.code == 0, (session.errors(), self.report["failures"])
         self.messages, self.numbers, self.tokens = (
             heard[key] for key in ("messages", "numbers", "tokens")
         )
@@ -305,9 +304,8 @@ def test_a_node_of_others_moves_the_robot_under_its_dead_man_button(start, tmp_p
         rest = robot.rests()
         assert robot.rests() == pytest.approx(rest, abs=1e-4)
         peer.say("quiet")
-    code, report = session.interrupt()
+    report = session.finish()
     peer.end()
-    assert code == 0, (session.errors(), report["failures"])
     assert report["joystick"]["device"] == "ROS 2 node"
     told = report["processes"]["ros2"]
     assert told["restarts"] == 1 and told["counts"]["taken"] > 0

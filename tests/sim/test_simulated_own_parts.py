@@ -1,9 +1,7 @@
 """A user's robot and joystick in a whole session on virtual time."""
 
-import pytest
 from user_parts import load
 
-from pipelines.cli import main
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
 from telepresence.haptics.robot_device import DrivenRobot
@@ -35,10 +33,3 @@ def test_the_hand_leads_the_robot_to_its_wall_at_any_delay():
     assert report.joystick.device == "a lever"
     assert 1.0 < robot.most_n <= own_robot.Mass.capabilities.force_limit_n
     assert report.safety.presses == 1
-
-
-@pytest.mark.parametrize("option", ["--joystick=page", "--joystick=evdev", "--robot=udp:h:1"])
-def test_what_lives_in_real_time_is_refused_in_one_line(option, capsys):
-    assert main(["simulate", "--setup", "taskboard", "--seconds", "1", option]) == 2
-    error = capsys.readouterr().err
-    assert "lives in real time" in error and error.count("\n") == 1

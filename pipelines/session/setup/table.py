@@ -165,6 +165,9 @@ def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
 #: What happens to the room of haptic samples that nobody would feel. `off`: no sample is left out.
 #: `picture`: the video's cap rises. `latency`: the same pictures are sent sooner.
 Deadband = Literal["off", "picture", "latency"]
+PathForm = Literal["slots", "compact"]
+#: Slots of which the frames go in one datagram.
+BATCHES_MS = (1, 2, 4)
 
 #: What the operator's hand feels. `direct`: the robot's delayed force. `mediated`: a wall that the
 #: robot's side estimates and the joystick's side renders. `auto`: that wall, and directly what it
@@ -225,6 +228,9 @@ class Setup:
     repair: what restores lost frames (docs/link.md#repair): idle slots, with `auto` also pictures
         left out while the other end reports losses, or nothing. A direction whose frames have no
         room for it, or whose other end does not know it, goes without in `auto`.
+    path, path_batch_ms: how frames go in datagrams between two machines: one length for every slot
+        (`slots`), or without what is idle (`compact`); those of 1, 2 or 4 ms together
+        (docs/two-machines.md).
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
         joystick (docs/haptics-controllers.md).
     axes, gripper: what the hand moves: x and y, with 3 also z, with 6 also three rotations; and a
@@ -255,6 +261,8 @@ class Setup:
     radio_delay_ms: float = 0.0
     deadband: Deadband = "off"
     repair: Repair = "auto"
+    path: PathForm = "slots"
+    path_batch_ms: int = 1
     hand: HandMode = "direct"
     axes: int = 2
     gripper: bool = False
@@ -293,6 +301,8 @@ class Setup:
             )
         self._make_room()
         self._take_repair()
+        if self.path_batch_ms not in BATCHES_MS:
+            raise ConfigError(f"path_batch_ms {self.path_batch_ms}: take 1, 2 or 4")
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
         radio = self._named_radio

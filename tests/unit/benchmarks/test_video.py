@@ -18,16 +18,13 @@ def metrics(**changes) -> ContenderMetrics:
     return ContenderMetrics(**(base | changes))
 
 
-def missed(measured, targets=NARROW) -> list[str]:
-    return [verdict.what for verdict in judge(measured, targets, 85) if not verdict.met]
-
-
 def test_relative_targets_compare_with_the_better_peer():
     worse, better = QualityMeans(27.0, 23.9), QualityMeans(28.9, 20.0)
     peers = {DEFAULT: metrics(psnr_db=worse), TUNED: metrics(psnr_db=better, sender_cpu_s=0.4)}
 
     def found(targets=NARROW, **changes):
-        return missed({OURS: metrics(**changes), **peers}, targets)
+        verdicts = judge({OURS: metrics(**changes), **peers}, targets, 85)
+        return [verdict.what for verdict in verdicts if not verdict.met]
 
     assert found() == []
     assert found(sender_cpu_s=1.2) == ["CPU of both ends, of the thriftier peer's"]

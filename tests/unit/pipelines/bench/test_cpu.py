@@ -52,39 +52,3 @@ def test_two_trees_take_turns(tmp_path, monkeypatch, capsys):
     assert "0.800 (0.800 to 0.800)" in capsys.readouterr().out
     metrics = json.loads(written.read_text())
     assert [one["cpu_s_per_s"] for one in metrics["against"]] == [1.0, 1.0]
-
-
-#: Options of a bench that contradict or cannot be, and what the refusal names.
-REFUSED = [
-    ("cpu --runs 0", "--runs 0"),
-    ("cpu --seconds 1", "--seconds 1"),
-    ("cpu --against /nowhere", "--against /nowhere"),
-    ("latency --seconds 0", "--seconds 0"),
-    ("latency --live-seconds 0.5", "--live-seconds 0.5"),
-    ("latency --radio nowhere", "nowhere"),
-    ("latency --load 65", "--load 65"),
-    ("latency --base-port 80", "base port 80"),
-    ("latency --plot lead.jpg", "--plot"),
-    ("latency --no-live --live-seconds 3", "--live-seconds"),
-    ("link --report /nowhere/a.json", "--report"),
-    ("link --setup nowhere", "nowhere"),
-    ("sync --video a.mp4", ""),
-    ("sync --video a.mp4 --audio a.mp4 --seconds 5", "give one of them"),
-    ("sync --video a.mp4 --audio a.mp4 --offset-ms haptics=3", "--offset-ms"),
-    ("sync --video a.mp4 --audio a.mp4 --roi 1,2,3", "--roi"),
-    ("sync --offset-ms video=3", "--offset-ms"),
-    ("video --seconds 9999", "--seconds 9999"),
-    ("video --cap-kbps 5", "--cap-kbps 5"),
-    ("video --cap-kbps 100", "--channel-kbps 88"),
-    ("video --clip nowhere.mp4", "nowhere.mp4"),
-    ("video --size 64x48", "--size 64x48"),
-    (f"video --clip {__file__} {__file__}", "there is another clip of this name"),
-]
-
-
-@pytest.mark.parametrize(("words", "named"), REFUSED, ids=[words for words, _ in REFUSED])
-def test_mistakes_are_one_line(words, named, capsys):
-    assert main(["bench", *words.split()]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("kontur-av: ") and named in error
-    assert error.count("\n") == 1

@@ -74,11 +74,6 @@ def described(lines, **options):
     return description.write_description(lines, LOCAL, session=1, cname="c", stream="s", **options)
 
 
-def first_section_with(line):
-    """The browser's offer, with one more line."""
-    return BROWSER.replace("a=mid:0\r\n", f"a=mid:0\r\n{line}\r\n")
-
-
 def candidate(address, port, foundation="1"):
     return f"a=candidate:{foundation} 1 udp 2130706431 {address} {port} typ host"
 
@@ -157,7 +152,8 @@ def test_candidates_travel_in_fragments_and_in_the_first_section_whether_it_is_w
         description.read_candidates("a=ice-ufrag:u\r\na=ice-pwd:p\r\na=candidate:nonsense")
     # Cameras by Google write one without a foundation.
     for foundation in ("1", ""):
-        text = first_section_with(candidate("192.0.2.1", 19305, foundation))
+        line = candidate("192.0.2.1", 19305, foundation)
+        text = BROWSER.replace("a=mid:0\r\n", f"a=mid:0\r\n{line}\r\n")
         offer = read(text.replace("opus/48000", "speex/16000"))
         assert [line.kind for line in offer.lines] == ["video"]
         assert [(one.ip, one.port) for one in offer.transport.candidates] == [("192.0.2.1", 19305)]

@@ -21,11 +21,6 @@ AHEAD_NS = 500 * NS_PER_S
 BPS = {"audio": 32_000, "video": 1_500_000}
 
 
-def opus(number):
-    """A CELT packet of 20 ms, and its number."""
-    return bytes([0xFC]) + number.to_bytes(4, "big")
-
-
 def unit(number, octets=3000):
     """An access unit of one slice, with parameter sets and IDR at the first."""
     body = number.to_bytes(4, "big") + b"\x55" * octets
@@ -94,7 +89,9 @@ def drive(pair, seconds, octets=3000, begin=0):
         if block % 2 == 0:
             stamp = CaptureStamp(now_ns, block // 2, "camera")
             pair.sender.send_unit(AccessUnit(unit(block // 2, octets), stamp, block == 0), now_ns)
-        pair.sender.send_opus(opus(block), CaptureStamp(now_ns, block, "voice"), now_ns)
+        # A CELT packet of 20 ms, and its number.
+        packet = b"\xfc" + block.to_bytes(4, "big")
+        pair.sender.send_opus(packet, CaptureStamp(now_ns, block, "voice"), now_ns)
         pair.run(now_ns, now_ns + 20 * NS_PER_MS)
     return [event for event, _ in pair.events if isinstance(event, PictureCame)]
 

@@ -141,14 +141,6 @@ def picture(page_ms, index=CAMERA.index):
     return struct.pack("<BBHHxxd", 0x83, index, width, height, page_ms) + octets
 
 
-def sound(page_ms, sequence=1):
-    return struct.pack("<BBHId", 0x84, MICROPHONE.index, 960, sequence, page_ms) + bytes(1920)
-
-
-def ping(page_ms):
-    return struct.pack("<B7xd", 0x81, page_ms)
-
-
 def opened(*roles):
     inputs = OwnInputs(PLAN)
     for link, role in enumerate(roles):
@@ -194,9 +186,11 @@ def test_what_is_given_is_dated_by_the_ping_that_took_least_time():
 
     assert capture_ms(1e9, 1000) == 1000
     for page_ms, now_ms in ((100.0, 1150), (200.0, 1201), (300.0, 1390)):
-        assert inputs.handle_message(0, ping(page_ms), now_ms * NS_PER_MS)[:1] == b"\5"
+        ping = struct.pack("<B7xd", 0x81, page_ms)
+        assert inputs.handle_message(0, ping, now_ms * NS_PER_MS)[:1] == b"\5"
     assert capture_ms(390.0, 1400) == 1391
     assert capture_ms(500.0, 1400) == 1400
     assert capture_ms(-1e9, 1400) == 900
-    given = inputs.handle_message(0, sound(390.0, 5), 1400 * NS_PER_MS)
+    sound = struct.pack("<BBHId", 0x84, MICROPHONE.index, 960, 5, 390.0) + bytes(1920)
+    given = inputs.handle_message(0, sound, 1400 * NS_PER_MS)
     assert (given.input, given.stamp.sequence, len(given.data)) == (MICROPHONE, 5, 1920)

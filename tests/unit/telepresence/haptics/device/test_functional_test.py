@@ -109,13 +109,17 @@ def pushing():
     return session
 
 
+def assert_aborted(session, within_s, words):
+    session.run(within_s)
+    assert session.pushes[-1][:2] == (0.0, 0.0)
+    report = session.operation.test
+    assert report.outcome is Outcome.ABORTED and words in report.reason
+
+
 @pytest.mark.rule("S4")
 def test_it_aborts_with_the_next_cycle_after_the_button_is_let_go(pushing):
     pushing.device.fingers = Fingers(CAPABILITIES.leds)
-    pushing.run(0.002)
-    assert pushing.pushes[-1][:2] == (0.0, 0.0)
-    report = pushing.operation.test
-    assert (report.outcome, report.reason) == (Outcome.ABORTED, "the dead-man button was let go")
+    assert_aborted(pushing, 0.002, "the dead-man button was let go")
 
 
 @pytest.mark.parametrize(
@@ -124,19 +128,13 @@ def test_it_aborts_with_the_next_cycle_after_the_button_is_let_go(pushing):
 def test_a_command_aborts_it_at_once(pushing, event):
     assert pushing.handle.handle_command(event) == ""
     assert not pushing.operation.testing
-    pushing.run(0.001)
-    assert pushing.pushes[-1][:2] == (0.0, 0.0)
-    report = pushing.operation.test
-    assert report.outcome is Outcome.ABORTED and event.value in report.reason
+    assert_aborted(pushing, 0.001, event.value)
 
 
 def test_a_fault_aborts_it(pushing):
     pushing.handle.handle_exercise(2_000_000_000)
-    pushing.run(0.02)
+    assert_aborted(pushing, 0.02, "exercise")
     assert pushing.handle.state == JoystickState.RECOVERABLE
-    report = pushing.operation.test
-    assert report.outcome is Outcome.ABORTED and "exercise" in report.reason
-    assert pushing.pushes[-1][:2] == (0.0, 0.0)
 
 
 def test_it_is_refused_in_the_application():

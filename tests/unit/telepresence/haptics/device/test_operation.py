@@ -7,7 +7,7 @@ from math import hypot, inf, nan
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joystick_scripts import REST, STICK, play
+from joystick_scripts import REST, STICK, operated, play
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.device.calibration import calibrate
@@ -174,18 +174,9 @@ def test_silence_halts_it_and_the_first_sample_brings_it_back():
     assert session.run(0.01).state is APPLICATION
 
 
-def cycles(operation, milliseconds, now_ns=0):
-    for _ in range(milliseconds):
-        now_ns += NS_PER_MS
-        operation.handle_reading(now_ns)
-        operation.handle_force(0.0, 0.0)
-        operation.device.advance(NS_PER_MS)
-    return now_ns
-
-
 def test_a_person_may_halt_and_resume_and_refusals_give_a_reason():
     operation = JoystickOperation(SimulatedDevice(), automatic=False)
-    now_ns = cycles(operation, 30)
+    now_ns = operated(operation, 30)
 
     def asks(event, *reason):
         return operation.handle_request(event, now_ns, *reason)
@@ -193,12 +184,12 @@ def test_a_person_may_halt_and_resume_and_refusals_give_a_reason():
     assert operation.state is STANDBY
     assert "not in the state standby" in asks(JoystickEvent.HALT)
     assert not asks(JoystickEvent.CALIBRATE)
-    now_ns = cycles(operation, 4000, now_ns)
+    now_ns = operated(operation, 4000, now_ns)
     assert operation.state is JoystickState.CALIBRATED
     assert not asks(JoystickEvent.START) and not asks(JoystickEvent.HALT, "lunch")
     assert operation.reason == "lunch"
     assert "not a request" in asks(JoystickEvent.FAULT)
-    now_ns = cycles(operation, 100, now_ns)
+    now_ns = operated(operation, 100, now_ns)
     assert operation.state is HALTED
     assert not asks(JoystickEvent.RESUME)
     assert operation.state is JoystickState.CALIBRATED

@@ -7,6 +7,7 @@ import pytest
 from gamepads import AXES, CONTROLLERS, KEYS, STICKS, Pad, settled
 from hypothesis import given
 from hypothesis import strategies as st
+from joystick_scripts import operated
 
 from kontur_av.clock import NS_PER_MS
 from telepresence.haptics.axes import AXIS_NAMES, MoreAxis
@@ -185,21 +186,12 @@ def test_rumble_changes_in_steps_keeps_on_and_stops_at_once():
         assert not any(meter.handle_force(force_n, NS_PER_MS) for _ in range(3000))
 
 
-def run(operation, milliseconds, now_ns=0):
-    for _ in range(milliseconds):
-        now_ns += NS_PER_MS
-        operation.handle_reading(now_ns)
-        operation.handle_force(0.0, 0.0)
-        operation.device.advance(NS_PER_MS)
-    return now_ns
-
-
 def test_a_stick_at_rest_is_calibrated_and_needs_its_dead_man_button():
     operation = JoystickOperation(Pad())
-    now_ns = run(operation, 500)
+    now_ns = operated(operation, 500)
     assert operation.state is JoystickState.APPLICATION
     assert operation.force_limit_n == 0.0
     operation.device.stick.handle_event(1, 0x136, 1)
-    run(operation, 500, now_ns)
+    operated(operation, 500, now_ns)
     # Nobody feels this force, but the energies must be those of a hand that does.
     assert operation.force_limit_n == UNFELT_FORCE_LIMIT_N

@@ -1,11 +1,10 @@
 """What one end makes of the other's messages: fits, is suspected, refused or doubted."""
 
-from link_supervision_pair import GROUND, SPACE
+from link_supervision_pair import GROUND, SPACE, alive
 
 from telepresence.link.supervision.message import (
     LinkState,
     MessageKind,
-    SupervisionMessage,
     SupervisionTiming,
     pack_message,
 )
@@ -24,20 +23,8 @@ def negotiation(*, master=True):
 
 def from_peer(of, **changes):
     """Octets of a matching peer of this negotiation."""
-    table = {
-        "version": of.version,
-        "kind": MessageKind.ALIVE,
-        "state": LinkState.APPROVE,
-        "master": False,
-        "signal": True,
-        "application": False,
-        "fresh": True,
-        "sending": False,
-        "boot_id": 5,
-        "heard": 9,
-        "digest": of.digest,
-    }
-    return pack_message(SupervisionMessage(**{**table, **changes}))
+    table = {"version": of.version, "boot_id": 5, "heard": 9, "digest": of.digest}
+    return pack_message(alive(**{**table, **changes}))
 
 
 def test_a_peers_supervision_is_dead_after_silence_since_its_last_message():
