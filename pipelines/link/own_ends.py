@@ -30,9 +30,11 @@ from pipelines.session.datagrams import (
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import StreamOptions
-from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.segments import Direction, Segment
+from pipelines.session.setup.table import VideoStream
 from pipelines.session.topology.table import Topology
 from telepresence.link.link_metrics import PeerMetrics, address_text
+from telepresence.link.path.following import NO_VIDEO, PARTS, PathNeeds
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
@@ -73,10 +75,25 @@ class PeerPlan:
     compact: bool = False
 
 
+def path_needs(topology: Topology, direction: Direction) -> PathNeeds:
+    """What the videos of one way need of a path."""
+    rows = (row for row in topology.media_streams if row.direction is direction)
+    streams = [row.stream for row in rows if isinstance(row.stream, VideoStream)]
+    least_parts = (PARTS * stream.least_bps // stream.cap_bps for stream in streams)
+    return PathNeeds(sum(stream.cap_bps for stream in streams), min(least_parts, default=PARTS))
+
+
 def make_path(
-    plan: PeerPlan, transmit: LinkProfile, receive: LinkProfile, now_ns: int
+    plan: PeerPlan,
+    transmit: LinkProfile,
+    receive: LinkProfile,
+    now_ns: int,
+    needs: PathNeeds = NO_VIDEO,
 ) -> "PeerPath":
-    """Return the core of the path. transmit, receive: the profiles of the ways out and in."""
+    """Return the core of the path. transmit, receive: the profiles of the ways out and in.
+
+    needs: of the videos on the way out.
+    """
     protection = plan.protection
     if protection is None:
         from telepresence.link.peer_path import OpenPath
@@ -94,6 +111,7 @@ def make_path(
         bundling=Bundling(
             transmit, receive, plan.batch_ms * NS_PER_MS // transmit.slot_ns, plan.compact
         ),
+        needs=needs,
     )
 
 
@@ -112,7 +130,7 @@ class PeerSocket:
         self._looking = threading.Thread()
         self._found: deque[Address] = deque()
         self.failed, self.why = 0, ""
-        self._path = path
+        self.core = self._path = path
         self._clock_ns = clock_ns
         self._take, self._next = path.handle_datagram, path.next_frame
         self._seal = path.seal
