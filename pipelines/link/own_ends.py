@@ -30,11 +30,10 @@ from pipelines.session.datagrams import (
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import StreamOptions
-from pipelines.session.setup.segments import Direction, Segment
-from pipelines.session.setup.table import VideoStream
+from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.table import Topology
 from telepresence.link.link_metrics import PeerMetrics, address_text
-from telepresence.link.path.following import NO_VIDEO, PARTS, PathNeeds
+from telepresence.link.path.following import NO_VIDEO, PathNeeds
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
@@ -73,14 +72,6 @@ class PeerPlan:
     host: str | None = None
     batch_ms: int = 1
     compact: bool = False
-
-
-def path_needs(topology: Topology, direction: Direction) -> PathNeeds:
-    """What the videos of one way need of a path."""
-    rows = (row for row in topology.media_streams if row.direction is direction)
-    streams = [row.stream for row in rows if isinstance(row.stream, VideoStream)]
-    least_parts = (PARTS * stream.least_bps // stream.cap_bps for stream in streams)
-    return PathNeeds(sum(stream.cap_bps for stream in streams), min(least_parts, default=PARTS))
 
 
 def make_path(

@@ -14,9 +14,9 @@ from typing import Final
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import TopicBus
-from pipelines.link.gateway_end import GatewayEnd
+from pipelines.link.gateway_end import GatewayEnd, path_needs
 from pipelines.link.link_metrics import SocketMetrics, gateway_topic, link_state_topic, link_values
-from pipelines.link.own_ends import PeerPlan, PeerSocket, make_path, path_needs
+from pipelines.link.own_ends import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import (
     LOOPBACK,
     OWN_SENDERS,

@@ -532,11 +532,11 @@ def test_a_path_that_carries_less_holds_repair_and_files_and_tells_the_senders_o
         got += [event.flow.name for _, event in link.step() if hasattr(event, "flow")]
     report = reporter.poll_transmit(link.now_ns)
     assert (report.cap_parts, report.leave_out, report.maintenance_octets) == (0, 2, 20)
-    assert got == ["command"] and not ground.sender.repairs_idle
+    assert got == ["command"] and ground.repair.saving
     ground.handle_path(ALL)
     for _ in range(100):
         got += [event.flow.name for _, event in link.step() if hasattr(event, "flow")]
-    assert got == ["command", "file"] and ground.sender.repairs_idle
+    assert got == ["command", "file"] and not ground.repair.saving
 
 
 def test_a_picture_that_a_telecommand_interrupts_counts_until_it_has_left():
