@@ -222,6 +222,17 @@ class RunningSession:
             f"a snapshot of {prefix}",
         )
 
+    def kill(self, pids, name):
+        """Kill a process without warning; `pids` has the pid of its next start afterwards."""
+        os.kill(pids[name], signal.SIGKILL)
+        before = {*pids.values()}
+
+        def newcomer():
+            assert self.process.poll() is None, self.errors()
+            return {*self.children()} - before
+
+        (pids[name],) = eventually(newcomer, f"the restart of {name}")
+
     def select(self, camera):
         return self.ask("select", camera)
 

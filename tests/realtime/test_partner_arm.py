@@ -10,7 +10,7 @@ from urllib.request import Request, urlopen
 
 import pytest
 from programs import running
-from running_session import COMMAND, TIMEOUT_S, alive, eventually, restarted, tcp_port
+from running_session import COMMAND, TIMEOUT_S, eventually, restarted, tcp_port
 
 _SHORT = 'cameras = ["head"]\npartner_arm = "{arm}"\n[uplink_video]\ncap_kbps = 85\n'
 
@@ -68,9 +68,7 @@ def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start
         partner.wait_for("answers")
         # The desk and the robot come back with the owner that was ordered.
         for name in ("owner_desk", "robot"):
-            os.kill(pids[name], signal.SIGKILL)
-            eventually(lambda pid=pids[name]: not alive(pid), f"the end of {name}")
-            eventually(lambda: len(session.children()) == len(pids), f"the restart of {name}")
+            session.kill(pids, name)
         eventually(
             lambda: authority(session).stdout.startswith("partner drives"), "the partner again"
         )
