@@ -42,12 +42,11 @@ def stream_of(page, via):
 
 
 async def test_over_tls_pages_get_streams_of_hevc_as_h264(tmp_path):
-    path = tmp_path / "hevc.toml"
-    path.write_text(
+    setup = (
         'cameras = ["static"]\n[uplink_video]\ncap_kbps = 85\nsize = "320x240"\ncodec = "h265"\n'
         '[downlink_video]\ncap_kbps = 200\nsize = "320x240"\ncodec = "h265"\n'
     )
-    with RunningSession(str(path), "--page", "0.0.0.0:8320", directory=tmp_path) as one:
+    with RunningSession(setup, "--page", "0.0.0.0:8320", directory=tmp_path) as one:
         one.wait_for_flow()
         pages = one.pages()
         out = (tmp_path / "out.txt").read_text()

@@ -49,10 +49,8 @@ downlink_voice = {cap_kbps = 64}
 
 def test_each_process_is_killed_once(start, tmp_path, monkeypatch):
     """The table says which there are: all but those of partners and of optional packages."""
-    setup = tmp_path / "small.toml"
-    setup.write_text(SMALL)
     session = start(
-        *(str(setup), "--page", "8330", "--tasks", "--record", "run.mcap", "--trainer"),
+        *(SMALL, "--page", "8330", "--tasks", "--record", "run.mcap", "--trainer"),
         *("--files", str(tmp_path / "files"), "--foxglove", str(tcp_port())),
         *("--packets", f"tcp:{tcp_port()}", "--frames", f"udp:127.0.0.1:{free_pair()}"),
     )
