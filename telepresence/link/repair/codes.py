@@ -99,10 +99,10 @@ class CauchyCode:
         return symbol * _COPIES
 
     def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
-        selected, total = _SELECTED, 0
+        selected, distances, total = _SELECTED, _DISTANCES - 1, 0
         for slot, copies in prepared:
             if copies:
-                total ^= copies & selected[(count ^ slot) & _DISTANCES - 1]
+                total ^= copies & selected[(count ^ slot) & distances]
         return combine([total >> _SYMBOL * bit & (1 << _SYMBOL) - 1 for bit in range(_BITS)])
 
 
