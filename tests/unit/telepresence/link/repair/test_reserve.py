@@ -1,6 +1,6 @@
 """Requirement: a reserve is kept while losses are reported, as much as they ask for."""
 
-from telepresence.link.repair.reserve import Growth, Idle, Loss, Reserve
+from telepresence.link.repair.reserve import Growth, Loss, Reserve
 
 S = 1_000_000_000
 
@@ -27,14 +27,6 @@ def test_the_reserve_follows_the_losses():
         (1, 0, 0),
     ]
     assert kept([Loss(20)] + [Loss()] * 31)[29:] == [(1, 0, 0), None, None]
-
-
-def test_idle_slots_carry_most_while_packets_are_torn_and_few_without_losses():
-    reserve, seen = Reserve(), []
-    for second, loss in enumerate([Loss(), Loss(9, 1), *[Loss(9)] * 30, *[Loss()] * 30]):
-        reserve.handle_loss(loss, 0.1, second * S)
-        seen.append(reserve.idle)
-    assert seen == [Idle.FEW, *[Idle.MOST] * 30, *[Idle.MANY] * 30, Idle.FEW]
 
 
 def test_a_loss_is_measured_over_two_seconds_and_never_rounded_to_none():
