@@ -21,6 +21,7 @@ import threading
 import time
 from bisect import bisect_right
 from dataclasses import dataclass, field
+from functools import partial
 from math import hypot, pi, sin
 from pathlib import Path
 
@@ -48,6 +49,12 @@ BLIND_NS = 2_600 * NS_PER_MS
 HAPTIC = ("robot", "joystick")
 LINK = ("ground_gateway", "space_gateway")
 CAMERAS = ("stereo", "static")
+#: An order that holds the robot, and those that end it.
+ORDERS = {
+    "halt": ("tc joystick halt", "tc joystick start"),
+    "power off": ("tc robot power_off", "tc robot power_on"),
+    "emergency stop": ("stop", "stop --release", "tc robot power_on"),
+}
 
 
 @dataclass
@@ -118,9 +125,7 @@ class Interrupter:
         self.deeds = {
             "kill": self.kill,
             "stop": self.stop,
-            "halt": self.halt,
-            "off": self.off,
-            "emergency": self.emergency,
+            **{what: partial(self.hold, what) for what in ORDERS},
             "camera": self.select,
         }
 
@@ -164,43 +169,28 @@ class Interrupter:
         os.kill(pid, signal.SIGCONT)
         return f"stopped {name}"
 
-    def ask(self, *words: str) -> None:
+    def ask(self, words: str) -> None:
         """Give a command until it is carried out; a session that is not ready may refuse it."""
-        eventually(lambda: self.session.ask(*words).returncode == 0, " ".join(words))
+        eventually(lambda: self.session.ask(*words.split()).returncode == 0, words)
 
-    def perhaps_kill(self) -> None:
+    def hold(self, what: str) -> str:
+        """Give an order that holds the robot, perhaps kill a process, and end the order."""
+        order, *ends = ORDERS[what]
+        self.ask(order)
+        self.note(what)
         if self.random.random() < 0.5:
             print(f"{self.clock.now_ns() / NS_PER_S:.2f} {self.kill()}", flush=True)
         time.sleep(2)
-
-    def halt(self) -> str:
-        self.ask("tc", "joystick", "halt")
-        self.note("halt")
-        self.perhaps_kill()
-        self.note("halt ends")
-        self.ask("tc", "joystick", "start")
-        return "halted"
-
-    def off(self) -> str:
-        self.ask("tc", "robot", "power_off")
-        self.note("power off")
-        self.perhaps_kill()
         # A press while it is off counts: that is how a task begins.
-        self.ask("tc", "robot", "power_on")
-        return "switched off"
-
-    def emergency(self) -> str:
-        self.ask("stop")
-        self.note("emergency stop")
-        self.perhaps_kill()
-        self.note("emergency stop ends")
-        self.ask("stop", "--release")
-        self.ask("tc", "robot", "power_on")
-        return "stopped in an emergency"
+        if what != "power off":
+            self.note(f"{what} ends")
+        for each in ends:
+            self.ask(each)
+        return what
 
     def select(self) -> str:
         self.camera = CAMERAS[1 - CAMERAS.index(self.camera)]
-        self.ask("select", self.camera)
+        self.ask(f"select {self.camera}")
         self.note("another camera")
         return f"selected {self.camera}"
 

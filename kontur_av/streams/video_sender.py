@@ -107,6 +107,7 @@ class VideoSender(PacedSender):
             capture_time_id=capture_time_id,
         )
         super().__init__(pacer, rtp)
+        self._max_payload_octets = rtp.max_payload_octets
         self._scheduler = EncodeScheduler(pacer, fps=fps, camera_hz=camera_hz)
         self._losses = PictureLossListener(ssrc=identity.ssrc)
         #: Pictures that came coded.
@@ -159,9 +160,11 @@ class VideoSender(PacedSender):
     def follow(self, *, cap_bps: int, channel_bps: int) -> None:
         """Change cap and channel from now on. The next `Coding` tells the encoder.
 
-        Raises ValueError for a cap below the first one.
+        Raises ValueError for a channel below the cap.
         """
         self._pacer.follow(cap_bps=cap_bps, channel_bps=channel_bps)
+        most_octets = self._pacer.max_payload_octets
+        self._rtp.max_payload_octets = min(self._max_payload_octets, most_octets)
 
     def poll_encode(self, now_ns: int) -> Coding | None:
         """Return how to encode the newest picture now, or None if not now."""

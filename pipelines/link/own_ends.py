@@ -33,6 +33,7 @@ from pipelines.session.options import StreamOptions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.table import Topology
 from telepresence.link.link_metrics import PeerMetrics, address_text
+from telepresence.link.path.following import NO_VIDEO, PathNeeds
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
@@ -74,9 +75,16 @@ class PeerPlan:
 
 
 def make_path(
-    plan: PeerPlan, transmit: LinkProfile, receive: LinkProfile, now_ns: int
+    plan: PeerPlan,
+    transmit: LinkProfile,
+    receive: LinkProfile,
+    now_ns: int,
+    needs: PathNeeds = NO_VIDEO,
 ) -> "PeerPath":
-    """Return the core of the path. transmit, receive: the profiles of the ways out and in."""
+    """Return the core of the path. transmit, receive: the profiles of the ways out and in.
+
+    needs: of the videos on the way out.
+    """
     protection = plan.protection
     if protection is None:
         from telepresence.link.peer_path import OpenPath
@@ -94,6 +102,7 @@ def make_path(
         bundling=Bundling(
             transmit, receive, plan.batch_ms * NS_PER_MS // transmit.slot_ns, plan.compact
         ),
+        needs=needs,
     )
 
 
@@ -112,7 +121,7 @@ class PeerSocket:
         self._looking = threading.Thread()
         self._found: deque[Address] = deque()
         self.failed, self.why = 0, ""
-        self._path = path
+        self.core = self._path = path
         self._clock_ns = clock_ns
         self._take, self._next = path.handle_datagram, path.next_frame
         self._seal = path.seal

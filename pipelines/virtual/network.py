@@ -6,16 +6,15 @@ The ends are those of live machines: they handshake, protect, pack and reorder.
 from collections import deque
 from collections.abc import Mapping
 
-from pipelines.link.gateway_end import GatewayEnd
+from pipelines.link.gateway_end import GatewayEnd, path_needs
 from pipelines.session.setup.segments import Segment
-from pipelines.session.setup.table import Setup
+from pipelines.session.topology.table import Topology
 from telepresence.link.gateway import Gateway
 from telepresence.link.link_metrics import Address
 from telepresence.link.path.bundles import Bundling
 from telepresence.link.peer_path import ProtectedPath
 from telepresence.link.protection.identity import MachineKey
 from telepresence.link.radio.network import NetworkPath
-from telepresence.link.radio.path import RadioPath
 
 #: Of documentation (RFC 5737).
 _ADDRESSES: Mapping[Segment, Address] = {
@@ -33,21 +32,22 @@ class NetworkWay:
 
     def __init__(
         self,
-        radio: RadioPath,
+        gateway: Gateway,
         here: ProtectedPath,
         there: ProtectedPath,
         source: Address,
         network: NetworkPath,
-        slot_ns: int,
     ) -> None:
-        self._radio, self._here, self._there = radio, here, there
-        self._source, self._network, self._slot_ns = source, network, slot_ns
+        self._gateway, self._here, self._there = gateway, here, there
+        self._radio, self._slot_ns = gateway.radio, gateway.sender.profile.slot_ns
+        self._source, self._network = source, network
         self._ready: deque[bytes] = deque()
         self._now_ns = 0
 
     def handle_slot(self, now_ns: int) -> None:
         """Do what the sending end does in the rest of a slot, and the receiving one in a slot."""
         here = self._here
+        self._gateway.handle_path(here.allowed)
         while here.handle_rest(now_ns, now_ns + self._slot_ns):
             pass
         while (sealed := here.poll_transmit()) is not None:
@@ -82,27 +82,27 @@ class VirtualNetwork:
     """What is between both ends: their paths, and the ways out of each, by segment."""
 
     def __init__(
-        self, setup: Setup, ends: Mapping[Segment, GatewayEnd], *, seed: int, now_ns: int
+        self, topology: Topology, ends: Mapping[Segment, GatewayEnd], *, seed: int, now_ns: int
     ) -> None:
-        network = setup.radio_profile.network
+        network = topology.setup.radio_profile.network
         assert network is not None
         self.paths = {
-            segment: _path(setup, segment, end.gateway, now_ns) for segment, end in ends.items()
+            segment: _path(topology, segment, end.gateway, now_ns) for segment, end in ends.items()
         }
         self.ways = {
             segment: NetworkWay(
-                end.gateway.radio,
+                end.gateway,
                 self.paths[segment],
                 self.paths[segment.peer],
                 _ADDRESSES[segment],
                 NetworkPath(network, f"{seed} {segment.value} network", epoch_ns=now_ns),
-                end.gateway.sender.profile.slot_ns,
             )
             for segment, end in ends.items()
         }
 
 
-def _path(setup: Setup, segment: Segment, gateway: Gateway, now_ns: int) -> ProtectedPath:
+def _path(topology: Topology, segment: Segment, gateway: Gateway, now_ns: int) -> ProtectedPath:
+    setup = topology.setup
     transmit, receive = gateway.sender.profile, gateway.receiver.profile
     return ProtectedPath(
         _KEYS[segment],
@@ -111,4 +111,5 @@ def _path(setup: Setup, segment: Segment, gateway: Gateway, now_ns: int) -> Prot
         address=None if segment is Segment.GROUND else _ADDRESSES[segment.peer],
         now_ns=now_ns,
         bundling=Bundling(transmit, receive, setup.path_batch_ms, setup.path == "compact"),
+        needs=path_needs(topology, segment.transmits),
     )

@@ -158,7 +158,7 @@ class Simulation:
         down: RadioPath | NetworkWay = self._space.radio
         if setup.radio_profile.network is not None:
             ends = {Segment.GROUND: ground_end, Segment.SPACE: space_end}
-            self._network = VirtualNetwork(setup, ends, seed=seed, now_ns=start_ns)
+            self._network = VirtualNetwork(self.topology, ends, seed=seed, now_ns=start_ns)
             up, down = (self._network.ways[segment] for segment in ends)
         # When the next frame arrives: asked twice a slot, so without a detour.
         self._up_timeout, self._down_timeout = up.poll_timeout, down.poll_timeout

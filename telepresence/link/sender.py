@@ -108,6 +108,8 @@ class LinkSender:
         #: Only the next zone's pointer tells that the packet in flight ended with the last zone.
         self._end_untold = False
         self.reserve = NOTHING
+        #: Packets of the lowest level wait, but for one that has begun.
+        self.holds_maintenance = False
         #: Repair zones that the reserve still asks for.
         self._owed = 0
 
@@ -349,6 +351,8 @@ class LinkSender:
                 waiting[level] = None
                 if queue.continues(now_ns):
                     return begun
+            if level == Level.MAINTENANCE and self.holds_maintenance:
+                return None
             if queue.octets and queue.waiting(now_ns):
                 return self._begin(level, now_ns)
         for level in self._limited:

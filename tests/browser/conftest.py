@@ -1,10 +1,9 @@
 """One Chromium for all tests here, with a camera of numbered pictures and a tone to hear."""
 
-import wave
 from pathlib import Path
 
-import numpy as np
 import pytest
+from common import write_tone
 
 pytest.register_assert_rewrite("browser", "running_session")
 
@@ -13,7 +12,7 @@ from numbered_pictures import write_pictures  # noqa: E402
 
 ROOM = Path(__file__).parent
 #: The first number of the camera's pictures; a tone that noise suppression takes for a voice.
-CAMERA_FROM, TONE_HZ, SOUND_HZ = 2001, 440, 48_000
+CAMERA_FROM, TONE_HZ = 2001, 440
 
 
 def pytest_collection_modifyitems(items):
@@ -24,17 +23,6 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.realtime)
 
 
-def tone(hz, seconds=4, *, pauses=False):
-    at = np.arange(seconds * SOUND_HZ) / SOUND_HZ
-    return np.sin(2 * np.pi * hz * at) * 12_000 * (at % 1 < 0.5 if pauses else 1)
-
-
-def write_sound(path, samples):
-    with wave.open(str(path), "wb") as file:
-        file.setparams((1, 2, SOUND_HZ, 0, "NONE", ""))
-        file.writeframes(samples.astype("<i2").tobytes())
-
-
 @pytest.fixture(scope="session")
 def chromium(tmp_path_factory):
     if (lacking := browsers.missing()) is not None:
@@ -42,7 +30,7 @@ def chromium(tmp_path_factory):
     directory = tmp_path_factory.mktemp("devices")
     camera, microphone = directory / "camera.y4m", directory / "microphone.wav"
     write_pictures(camera, 60, first=CAMERA_FROM)
-    write_sound(microphone, tone(TONE_HZ, pauses=True))
+    write_tone(microphone, TONE_HZ, pauses=True)
     # A session over TLS has a certificate of its own.
     flags = ["ignore-certificate-errors"]
     with browsers.Browser(

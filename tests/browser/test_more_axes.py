@@ -61,8 +61,7 @@ def test_sliders_move_the_axes_and_all_of_it_is_recorded(
             ActionChains(page.browser.driver).release().perform()
             eventually(lambda: not held(), "the release")
     # On a telephone nothing is cut off, and a finger can lead a slider.
-    metrics = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
-    page.browser.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    page.fit(390)
     page.wait("innerWidth === 390 && document.documentElement.scrollWidth <= 390")
     assert page.run(f"return Math.min(...[...{SLIDERS}].map((one) => one.offsetWidth))") > 120
     page.screenshot(tmp_path / "axes.png")

@@ -1,13 +1,14 @@
 """Open MCT, as the sample has it, shows a live session's values: those that YAMCS has."""
 
+import contextlib
 import shutil
+import signal
 import socket
-import subprocess
 
 import pytest
 from janus_room import free_port
 from positions import ROOT
-from programs import needs
+from programs import needs, running
 from running_session import RunningSession, eventually
 from yamcs import Yamcs, milliseconds, new_instance, value_of
 
@@ -29,27 +30,22 @@ def served(tmp_path):
     needs("node")
     if not all((PACKAGES / one).exists() for one in NEEDED):
         pytest.skip("openmct: npm --prefix .ci/web install")
-    site, started = tmp_path / "site", []
+    site = tmp_path / "site"
     shutil.copytree(ROOT / "samples" / "openmct", site)
     (site / "node_modules").symlink_to(PACKAGES)
 
-    def start(port):
-        own = free_port()
-        words = ("-s", "-a", "127.0.0.1", "-p", own, "--proxy", f"http://127.0.0.1:{port}")
-        command = ["node", PACKAGES / NEEDED[1], *map(str, words)]
-        with (tmp_path / "http.txt").open("w") as log:
-            started.append(
-                subprocess.Popen(
-                    command, cwd=site, stdout=log, stderr=log, preexec_fn=end_with_parent
-                )
-            )
-        eventually(lambda: _answers(own), "the sample's server")
-        return f"http://127.0.0.1:{own}"
+    with contextlib.ExitStack() as started:
 
-    yield start
-    for process in started:
-        process.terminate()
-        process.wait()
+        def start(port):
+            own = free_port()
+            words = ("-s", "-a", "127.0.0.1", "-p", own, "--proxy", f"http://127.0.0.1:{port}")
+            command = ("node", PACKAGES / NEEDED[1], *words)
+            how = {"end": signal.SIGTERM, "cwd": site, "preexec_fn": end_with_parent}
+            started.enter_context(running(tmp_path / "http.txt", *command, **how))
+            eventually(lambda: _answers(own), "the sample's server")
+            return f"http://127.0.0.1:{own}"
+
+        yield start
 
 
 def test_open_mct_shows_the_values_of_yamcs_as_they_come(served, start_browser, tmp_path):

@@ -2,18 +2,16 @@
 
 import json
 import re
-import signal
-import subprocess
-import sys
-import wave
 from collections import deque
 from contextlib import contextmanager
 
 import av
 import numpy as np
-from browser import TIMEOUT_S, eventually
+from browser import eventually
+from common import write_tone
 from numbered_pictures import NumberedPictures, number_of, number_on, write_pictures
-from running_session import RunningSession, restarted
+from programs import running
+from running_session import COMMAND, RunningSession, restarted
 
 OURS_HZ, THEIRS_HZ, SPACE_HZ = 700, 440, 1000
 #: Longer than all that a test waits for: the server must not end by itself.
@@ -51,15 +49,6 @@ const levels = new Float32Array(ear.frequencyBinCount);
 """
 
 
-def write_tone(path, hz):
-    time_s = np.arange(48_000 * 4) / 48_000
-    with wave.open(str(path), "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(2)
-        file.setframerate(48_000)
-        file.writeframes((np.sin(2 * np.pi * hz * time_s) * 12_000).astype("<i2").tobytes())
-
-
 def loudest_hz(samples, rate_hz):
     levels = np.abs(np.fft.rfft(samples * np.hanning(len(samples))))
     return float(np.argmax(levels)) * rate_hz / len(samples)
@@ -68,18 +57,11 @@ def loudest_hz(samples, rate_hz):
 @contextmanager
 def serving(folder, *options):
     """`kontur-av rtc serve`; yields the address of its page. Its report is in report.json."""
-    command = [sys.executable, "-m", "pipelines.cli", "rtc", "serve", "--http", "18930"]
-    command += ["--seconds", str(SECONDS), "--report", str(folder / "report.json"), *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout is not None
-            for line in server.stdout:
-                if found := re.fullmatch(r"page (\S+)\n", line):
-                    break
-            yield found[1]
-        finally:
-            server.send_signal(signal.SIGINT)
-            server.wait(TIMEOUT_S)
+    out, command = folder / "serve.txt", (*COMMAND, "rtc", "serve", "--http", "18930")
+    words = ("--seconds", SECONDS, "--report", folder / "report.json", *options)
+    with running(out, *command, *words):
+        found = eventually(lambda: re.search(r"^page (\S+)\n", out.read_text(), re.M), "the page")
+        yield found[1]
 
 
 def test_a_browser_sees_hears_is_seen_and_is_heard(start_browser, tmp_path):

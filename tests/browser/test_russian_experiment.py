@@ -2,15 +2,14 @@
 
 import re
 import shutil
-import signal
-import subprocess
 from pathlib import Path
 
 import numpy as np
 from browser import eventually
 from janus_room import free_port
+from programs import running
 from robot_tip import STILL_M, Tip
-from running_session import COMMAND, TIMEOUT_S, RunningSession
+from running_session import COMMAND, RunningSession
 
 from pipelines.hand.haptic_trace import CONTACT, JOYSTICK_TRACE_TOPIC, rows_of
 
@@ -81,15 +80,9 @@ def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_pa
             assert "the partner's robot is not there" in refused.stderr
 
             words = ("--rtc", f"http://127.0.0.1:{port}", "--token-file", str(token))
-            out = (tmp_path / "partner.txt").open("w+")
-            partner = subprocess.Popen(
-                [*COMMAND, "robot", "serve", "--robot", "partner_robot:Sprung", *words],
-                cwd=tmp_path,
-                stdout=out,
-                stderr=out,
-                env=session.environment,
-            )
-            try:
+            robot = (*COMMAND, "robot", "serve", "--robot", "partner_robot:Sprung")
+            out, how = tmp_path / "partner.txt", {"cwd": tmp_path, "env": session.environment}
+            with running(out, *robot, *words, **how) as partner:
                 press(page, "start_russian")
                 supervisor.wait(f"{told('joystick.application')} === 'russian experiment'")
                 supervisor.wait(f"{told('robot.partner')} === 'driven'")
@@ -103,12 +96,8 @@ def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_pa
                 supervisor.wait(f"{told('robot.partner')} === 'ready'")
                 tip.wait_until_it_moves()
                 felt_contact(bus)
-            finally:
-                partner.send_signal(signal.SIGINT)
-                code = partner.wait(TIMEOUT_S)
-        text = (tmp_path / "partner.txt").read_text()
-        out.close()
-        assert code == 0, text
+        text = out.read_text()
+        assert partner.returncode == 0, text
         far_mm, most_n = re.search(r"went (\d+) mm far, and felt up to ([\d.]+) N", text).groups()
         assert int(far_mm) > 0 and float(most_n) > 0
         browser.assert_no_errors()

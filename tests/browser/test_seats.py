@@ -5,13 +5,12 @@ page takes nearly half a core where no graphics card helps.
 """
 
 import time
-import wave
 from itertools import cycle
 
 import browser as browsers
-import numpy as np
 import pytest
 from browser import LIVE, drawn, eventually, luma, psnr_db, wait_for_pictures
+from common import write_tone
 from numbered_pictures import (
     NumberedPictures,
     number_of,
@@ -31,19 +30,9 @@ from telepresence.haptics.envelope import Hold
 CODED_DB = 25.0
 STALE = "document.querySelector('#picture').dataset.stale === 'true'"
 #: A tone that noise suppression does not take for noise: half a second of it in every second.
-TONE_HZ, SOUND_HZ = 600, 48_000
+TONE_HZ = 600
 #: A level between silence and a voice, on the pages' meters.
 HEARD_DB = -45
-
-
-def write_tone(path):
-    at = np.arange(4 * SOUND_HZ) / SOUND_HZ
-    samples = 12_000 * np.sin(2 * np.pi * TONE_HZ * at) * (at % 1 < 0.5)
-    with wave.open(str(path), "wb") as file:
-        file.setnchannels(1)
-        file.setsampwidth(2)
-        file.setframerate(SOUND_HZ)
-        file.writeframes(samples.astype("<i2").tobytes())
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +64,7 @@ def browser(session, tmp_path_factory):
     directory = tmp_path_factory.mktemp("devices")
     camera, microphone = directory / "camera.y4m", directory / "microphone.wav"
     write_pictures(camera, 60)
-    write_tone(microphone)
+    write_tone(microphone, TONE_HZ, pauses=True)
     with browsers.Browser(camera=camera, microphone=microphone) as running:
         yield running
 

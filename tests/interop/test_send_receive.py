@@ -3,13 +3,12 @@
 import json
 import re
 import signal
-import wave
 from fractions import Fraction
 
 import av
 import numpy as np
 import pytest
-from common import psnr_db
+from common import psnr_db, write_tone
 from media_commands import finish, ours, started, wait_for_file, wait_for_line
 from programs import needs, needs_elements
 from running_session import free_pair
@@ -63,10 +62,7 @@ def film(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tone(tmp_path_factory):
     path = tmp_path_factory.mktemp("tone") / "tone.wav"
-    sound = 8000 * np.sin(2 * np.pi * 440 * np.arange(48_000 * 2) / 48_000)
-    with wave.open(str(path), "wb") as file:
-        file.setparams((1, 2, 48_000, 0, "NONE", ""))
-        file.writeframes(sound.astype("<i2").tobytes())
+    write_tone(path, 440)
     return path
 
 

@@ -5,7 +5,6 @@ import os
 import signal
 import threading
 import time
-from pathlib import Path
 
 import pytest
 from running_link import (
@@ -17,7 +16,6 @@ from running_link import (
     listening,
 )
 
-from pipelines.link.key_files import make_key, trust
 from pipelines.link.relay import PathRelay
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -43,15 +41,6 @@ def program():
     """program(port, host): a socket of a program, which is closed after the test."""
     with contextlib.ExitStack() as stack:
         yield lambda port, host="127.0.0.1": stack.enter_context(listening(port, host))
-
-
-@pytest.fixture
-def keys(tmp_path):
-    """keys(end): the file of the key of "ground" or "space"; each trusts the other."""
-    made = {name: make_key(tmp_path / f"{name}.pem") for name in ("ground", "space")}
-    trust(tmp_path / "ground.pem", made["space"].identity)
-    trust(tmp_path / "space.pem", made["ground"].identity)
-    return lambda name: str(tmp_path / f"{name}.pem")
 
 
 def until_through(sender, to, receiver, data):
@@ -131,13 +120,13 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
     options = ("--setup", "taskboard", "--radio", "clean", "--seed", "5")
     # The end that calls may start first.
     space = start(
-        *(*options, "--end", "space", "--peer", where, "--key", keys("space")),
+        *(*options, "--end", "space", "--peer", where, "--key", str(keys["space"])),
         *("--apps", "127.0.0.3", "--apps-bind", "127.0.0.2"),
         base_port=bases[1],
         name="space",
     )
     ground = start(
-        *(*options, "--end", "ground", "--listen", where, "--key", keys("ground")),
+        *(*options, "--end", "ground", "--listen", where, "--key", str(keys["ground"])),
         base_port=bases[0],
         name="ground",
     )
@@ -165,7 +154,7 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
     assert set(came(down)) <= {b"down"}
     # No report, line or file of an end has its private key.
     for end in (ground, space):
-        secret = Path(keys(end.name)).read_text().splitlines()[1]
+        secret = keys[end.name].read_text().splitlines()[1]
         assert secret not in end.output() + end.report_path.read_text()
 
 
@@ -180,7 +169,7 @@ def test_two_ends_over_a_network_that_loses_and_reorders(start, program, keys):
     named = (("space", "--peer", relay.address[1]), ("ground", "--listen", base))
     ends = {
         name: start(
-            *(*options, "--end", name, "--key", keys(name), option, f"127.0.0.1:{port}"),
+            *(*options, "--end", name, "--key", str(keys[name]), option, f"127.0.0.1:{port}"),
             base_port=base + PORTS * (name == "space"),
             name=name,
         )

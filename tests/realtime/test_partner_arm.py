@@ -1,14 +1,15 @@
 """A partner drives the robot in place of the ISS, or an arm of its own: real sockets and loops."""
 
+import contextlib
 import os
 import re
 import signal
 import socket
-import subprocess
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import pytest
+from programs import running
 from running_session import COMMAND, TIMEOUT_S, alive, eventually, restarted, tcp_port
 
 _SHORT = 'cameras = ["head"]\npartner_arm = "{arm}"\n[uplink_video]\ncap_kbps = 85\n'
@@ -34,27 +35,16 @@ def hand_over(session, to):
     assert f"{to} drives" in done.stdout
 
 
-class Partner:
+class Partner(contextlib.ExitStack):
     """`kontur-av joystick drive`, beside a session without options. Its exit ends it."""
 
     def __init__(self, session, path, *options):
+        super().__init__()
         self._path = path
         options = options or ("--base-port", str(session.base_port))
-        with path.open("w") as out:
-            self.process = subprocess.Popen(
-                [*COMMAND, "joystick", "drive", *options],
-                stdout=out,
-                stderr=out,
-                env=session.environment,
-            )
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
+        how = {"end": signal.SIGKILL, "env": session.environment}
+        command = (*COMMAND, "joystick", "drive", *options)
+        self.process = self.enter_context(running(path, *command, **how))
 
     def wait_for(self, words):
         eventually(lambda: self._path.read_text().rstrip().endswith(words), words)

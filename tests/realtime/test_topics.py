@@ -28,16 +28,6 @@ PICTURE = np.zeros((72, 64), np.uint8)
 LONG_NS = 20_000_000_000
 
 
-@pytest.fixture(params=["iceoryx2", "files"])
-def session(request, monkeypatch):
-    if request.param == "files":
-        monkeypatch.setenv("KONTUR_AV_TOPICS", "files")
-    name = f"test-{os.getpid()}-{time.monotonic_ns() % 100000}"
-    yield name
-    remove_session(name)
-    assert not shared_memory(name)
-
-
 @pytest.fixture
 def bus(session):
     with TopicBus(session) as bus:

@@ -3,7 +3,6 @@
 import errno
 import multiprocessing
 import os
-import time
 
 import numpy as np
 import pytest
@@ -13,18 +12,10 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics import file_node
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.file_node import FilePublisher
-from kontur_av.topics.session_files import remove_session, shared_memory
+
+pytestmark = pytest.mark.parametrize("session", ["files"], indirect=True)
 
 OCTETS = 200_000
-
-
-@pytest.fixture
-def session(monkeypatch):
-    monkeypatch.setenv("KONTUR_AV_TOPICS", "files")
-    name = f"files-{os.getpid()}-{time.monotonic_ns() % 100000}"
-    yield name
-    remove_session(name)
-    assert not shared_memory(name)
 
 
 def stamp(sequence):

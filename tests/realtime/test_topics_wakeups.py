@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import select
-import time
 from pathlib import Path
 
 import pytest
@@ -14,23 +13,13 @@ from kontur_av.media import CaptureStamp
 from kontur_av.topics import notifier as notifier_module
 from kontur_av.topics.bus import MAX_READERS, TopicBus
 from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
-from kontur_av.topics.session_files import notifier_path, remove_session, shared_memory
+from kontur_av.topics.session_files import notifier_path
 
 #: Far longer than any wake-up takes; one that comes later was lost.
 LONG_NS = 20_000_000_000
 #: Not forked from here: this process has had a bus, and a child would inherit its locks.
 PROCESSES = multiprocessing.get_context("forkserver")
 PROCESSES.set_forkserver_preload(["kontur_av.topics.bus"])
-
-
-@pytest.fixture(params=["iceoryx2", "files"])
-def session(request, monkeypatch):
-    if request.param == "files":
-        monkeypatch.setenv("KONTUR_AV_TOPICS", "files")
-    name = f"wake-{os.getpid()}-{time.monotonic_ns() % 100000}"
-    yield name
-    remove_session(name)
-    assert not shared_memory(name)
 
 
 @pytest.fixture

@@ -12,23 +12,11 @@ from running_end import RunningEnd
 from running_link import eventually
 from two_hosts import GROUND_PUBLIC, PORT, TwoHosts
 
-from pipelines.link.key_files import make_key, trust
-
 
 @pytest.fixture
 def hosts():
     with TwoHosts() as hosts:
         yield hosts
-
-
-@pytest.fixture
-def keys(tmp_path):
-    """The key files of ground and space, which trust each other."""
-    paths = {name: tmp_path / f"{name}.pem" for name in ("ground", "space")}
-    identities = {name: make_key(path).identity for name, path in paths.items()}
-    trust(paths["ground"], identities["space"])
-    trust(paths["space"], identities["ground"])
-    return paths
 
 
 @pytest.fixture

@@ -4,14 +4,14 @@ import json
 import os
 import signal
 import socket
-import subprocess
 import sys
 import threading
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from common import eventually
+from programs import running
 
 from benchmarks.__main__ import main as benchmark
 from pipelines.cli import main
@@ -29,49 +29,37 @@ radio = ["iss-overhead", "geo"]
 """
 
 
-class Processes:
+class Processes(ExitStack):
     """A scheduler and its workers, each a process of its own."""
 
     def __init__(self, folder):
+        super().__init__()
         self.folder = folder
-        self.started = []
+        self.started = 0
         found = folder / "scheduler.json"
         self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", found)
         eventually(lambda: found.exists() and found.read_text().rstrip().endswith("}"))
         self.address = json.loads(found.read_text())["address"]
 
     def worker(self, *options):
-        folder = self.folder / f"worker{len(self.started)}"
+        folder = self.folder / f"worker{self.started}"
         words = [self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard"]
         started = self._start("worker", *words, "--local-directory", folder, *options)
         eventually(lambda: b"Registered to" in self.log.read_bytes())
         return started
 
     def _start(self, what, *words):
-        self.log = self.folder / f"{what}{len(self.started)}.log"
-        command = [sys.executable, "-m", "dask", what, *map(str, words)]
-        with self.log.open("wb") as log:
-            self.started.append(subprocess.Popen(command, stdout=log, stderr=log))
-        return self.started[-1]
-
-    def close(self):
-        for process in reversed(self.started):
-            process.send_signal(signal.SIGINT)
-        for process in self.started:
-            try:
-                process.wait(20)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        self.log = self.folder / f"{what}{self.started}.log"
+        self.started += 1
+        command = (sys.executable, "-m", "dask", what, *words)
+        return self.enter_context(running(self.log, *command, patience_s=20))
 
 
 @pytest.fixture(scope="module")
 def processes(tmp_path_factory):
-    with ExitStack() as stack:
-        running = Processes(tmp_path_factory.mktemp("dask"))
-        stack.callback(running.close)
-        running.worker()  # With its nanny, a daemon, which multiprocessing would forbid children.
-        yield running
+    with Processes(tmp_path_factory.mktemp("dask")) as started:
+        started.worker()  # With its nanny, a daemon, which multiprocessing would forbid children.
+        yield started
 
 
 def sessions_of(pid):
@@ -91,7 +79,7 @@ def test_a_sweep_is_the_same_octet_by_octet_though_a_worker_is_killed(tmp_path, 
     command = ["sweep", str(tmp_path / "mine.toml"), "--report"]
     assert main([*command, str(alone)]) == 0
     orphans = []
-    with closing(Processes(tmp_path)) as processes:
+    with Processes(tmp_path) as processes:
         # Alone, so that it surely has a run. Another one does what it leaves.
         doomed = processes.worker("--no-nanny")
 

@@ -36,6 +36,8 @@ STEREO_INPUTS = ("left", "right")
 
 GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC = "ground_mic", "operator_camera", "operator_mic"
 
+#: The lowest cap that an encoder takes.
+LEAST_VIDEO_BPS = 10_000
 VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
 #: Small enough that no part of a coded picture takes more than a picture's share of the link.
 VIDEO_PAYLOAD_OCTETS = 1000
@@ -62,7 +64,10 @@ class VideoStream:
     coded: (width, height) in which pictures are coded; None: the largest size that the cap has
         bits for (`coded_size`). They are shown in the stream's size.
     codec: `h264`, or `h265` for a better picture at more computing.
-    least_fps: fewer pictures a second are not sent where some are left out for repair.
+    least_fps: fewer pictures a second are not sent where some are left out, for repair or a slow
+        path.
+    least_cap_bps: the cap falls to it where the path between two machines carries less; None: a
+        third of the cap.
     """
 
     name: str
@@ -75,6 +80,7 @@ class VideoStream:
     codec: VideoCodec = "h264"
     stale_after_ms: float | None = None
     least_fps: int = 20
+    least_cap_bps: int | None = None
 
     def __post_init__(self) -> None:
         if self.least_fps < 1:
@@ -82,6 +88,11 @@ class VideoStream:
         if not 20_000 <= self.cap_bps <= 20_000_000:
             raise ConfigError(
                 f"{self.name}: cap of {self.cap_bps / 1000:g} kbit/s; video takes 20 to 20000"
+            )
+        if not LEAST_VIDEO_BPS <= self.least_bps <= self.cap_bps:
+            raise ConfigError(
+                f"{self.name}: least cap of {self.least_bps / 1000:g} kbit/s; take 10 to the cap, "
+                f"{self.cap_bps / 1000:g}"
             )
         if not 1 <= self.fps <= 120:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
@@ -96,6 +107,12 @@ class VideoStream:
                     f"{self.name}: pictures of {self.width}x{self.height} coded as "
                     f"{self.coded[0]}x{self.coded[1]}: take no larger size, or leave coded out"
                 )
+
+    @property
+    def least_bps(self) -> int:
+        """The lowest cap on a path that carries less."""
+        least_bps = self.least_cap_bps
+        return max(self.cap_bps // 3, LEAST_VIDEO_BPS) if least_bps is None else least_bps
 
     @property
     def coded_size(self) -> tuple[int, int]:

@@ -1,12 +1,12 @@
 """`kontur-av bench sync` on recordings that are made with known offsets."""
 
 import json
-import wave
 from fractions import Fraction
 
 import av
 import numpy as np
 import pytest
+from common import write_sound
 
 from kontur_av.errors import ConfigError
 from pipelines.bench.sync import clicks, lights, steps
@@ -69,9 +69,7 @@ def clips(tmp_path_factory):
     folder = tmp_path_factory.mktemp("clips")
     film(folder / "both.mp4", "libx264", pictures(), heard=sound(), crf="28", preset="fast")
     film(folder / "see.y4m", "wrapped_avframe", pictures())
-    with wave.open(str(folder / "hear.wav"), "wb") as file:
-        file.setparams((1, 2, 48_000, 0, "NONE", ""))
-        file.writeframes(sound().tobytes())
+    write_sound(folder / "hear.wav", sound())
     rows = ["time_s,force_n"]
     for number in range(int(SECONDS * 1000)):
         t = number / 1000
