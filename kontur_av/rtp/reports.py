@@ -57,6 +57,11 @@ class ReportTimer:
         if self._due_ns is None:
             self._due_ns = now_ns
 
+    def handle_contact(self, now_ns: int) -> None:
+        """The peer is there only now, so it has none of the reports so far: one is due."""
+        if self._due_ns is not None:
+            self._due_ns, self._last_ns = now_ns, None
+
     def poll_timeout(self) -> int | None:
         """Return when to call `is_due`; None before `begin`."""
         return self._due_ns

@@ -93,7 +93,8 @@ class RtpSender:
         self._timer = ReportTimer(
             least_ns=report_interval_ns, bandwidth_bps=bandwidth_bps, seed=ssrc
         )
-        self._max_payload_octets = max_payload_octets
+        #: May change at any time.
+        self.max_payload_octets = max_payload_octets
         self._samples_per_packet = samples_per_packet
         self._wall_offset_ns = wall_offset_ns
         self._capture_time_id = capture_time_id
@@ -110,7 +111,7 @@ class RtpSender:
         Raises ValueError if it has no NAL unit, or one that RTP cannot carry.
         """
         form = NAL_FORMATS[access_unit.codec]
-        payloads = form.packetize(split_annex_b(access_unit.data), self._max_payload_octets)
+        payloads = form.packetize(split_annex_b(access_unit.data), self.max_payload_octets)
         if not payloads:
             raise ValueError("an access unit without a NAL unit")
         timestamp = self.timestamp(access_unit.stamp.capture_ns)
@@ -182,6 +183,10 @@ class RtpSender:
         )
         self._sequence = (self._sequence + 1) & 0xFFFF
         return packet
+
+    def handle_contact(self, now_ns: int) -> None:
+        """The receiver is there only now: it needs a report to date what it gets."""
+        self._timer.handle_contact(now_ns)
 
     def poll_timeout(self) -> int | None:
         """Return when `poll_report` is due next; None before the first media packet."""

@@ -89,10 +89,10 @@ class Pacer:
         )
         #: The largest payload of a packet that fits under this cap.
         self.max_payload_octets = min(limit.room_octets for limit in self._limits)
-        self._least_cap_bps = cap_bps
+        self._first_cap_bps, self._first_max_octets = cap_bps, self.max_payload_octets
         share = cap_bps * picture_ns // (8 * NS_PER_S)
         #: The expected size of the next picture.
-        self.picture_octets = self._least_picture_octets = min(share, self.max_payload_octets)
+        self.picture_octets = self._first_picture_octets = min(share, self.max_payload_octets)
         self._queue: deque[tuple[bytes, int, int]] = deque()
         self._backlog_octets = 0
         self._free_ns = 0
@@ -105,16 +105,18 @@ class Pacer:
         """Change cap and channel from now on.
 
         The next packets leave when they fit under the new cap, together with those that have left.
-        Packets stay as small as the first cap needs, so a lower cap raises ValueError.
+        New packets must fit `max_payload_octets` of a lower cap; one that waits already and is
+        larger leaves when nothing has left for 100 ms. Raises ValueError for a channel below the
+        cap, or a cap below the least.
         """
-        if not self._least_cap_bps <= cap_bps <= channel_bps:
-            raise ValueError(
-                f"cap {cap_bps}, channel {channel_bps}: at least {self._least_cap_bps}"
-            )
+        if not LEAST_BPS <= cap_bps <= channel_bps:
+            raise ValueError(f"cap {cap_bps}, channel {channel_bps}: at least {LEAST_BPS}")
         short, long = self._limits
         short.room_octets = _short_octets(cap_bps)
         long.room_octets = cap_bps * self._window_ns // (8 * NS_PER_S)
-        self.picture_octets = self._least_picture_octets * cap_bps // self._least_cap_bps
+        # Under a higher cap packets stay as small as the first one needs.
+        self.max_payload_octets = min(self._first_max_octets, short.room_octets, long.room_octets)
+        self.picture_octets = self._first_picture_octets * cap_bps // self._first_cap_bps
         self.cap_bps, self.channel_bps = cap_bps, channel_bps
 
     def handle_access_unit(

@@ -54,9 +54,21 @@ class PacedSender:
         self._pacer = pacer
         self._rtp = rtp
         self._under_way: deque[_UnderWay] = deque()
+        self._contacts: int | None = None
         self._encoded = 0
         self._sent = 0
         self._events: deque[Any] = deque(maxlen=EVENTS_KEPT)
+
+    def handle_contacts(self, contacts: int, now_ns: int) -> bool:
+        """Return whether contact with the other end has begun; contacts: how often it has so far.
+
+        Then a report is due, because what was sent without contact did not arrive.
+        """
+        begun = self._contacts is not None and contacts != self._contacts
+        self._contacts = contacts
+        if begun:
+            self._rtp.handle_contact(now_ns)
+        return begun
 
     @property
     def cap_bps(self) -> int:

@@ -107,6 +107,7 @@ class VideoSender(PacedSender):
             capture_time_id=capture_time_id,
         )
         super().__init__(pacer, rtp)
+        self._max_payload_octets = rtp.max_payload_octets
         self._scheduler = EncodeScheduler(pacer, fps=fps, camera_hz=camera_hz)
         self._losses = PictureLossListener(ssrc=identity.ssrc)
         #: Pictures that came coded.
@@ -116,7 +117,6 @@ class VideoSender(PacedSender):
         self._way_back: bool | None = None
         #: None: to be set at the next picture.
         self._assumed_until_ns: int | None = None
-        self._contacts: int | None = None
         self._keyframe_due = False
         self._coded_cap_bps = cap_bps
         # When the newest picture came; when the one in the encoder came and was begun.
@@ -149,11 +149,10 @@ class VideoSender(PacedSender):
         way_back: the receiver can be heard now.
         """
         self._scheduler.handle_channel(waiting_octets, self._pacer.channel_bps, told_ns)
-        if self._contacts is not None and contacts != self._contacts:
+        if self.handle_contacts(contacts, told_ns):
             # Pictures sent without contact did not arrive, so none may refer to them.
             self._keyframe_due = True
             self._assumed_until_ns = None
-        self._contacts = contacts
         self._way_back = way_back
         if way_back:
             self._assumed_until_ns = told_ns
@@ -161,9 +160,11 @@ class VideoSender(PacedSender):
     def follow(self, *, cap_bps: int, channel_bps: int) -> None:
         """Change cap and channel from now on. The next `Coding` tells the encoder.
 
-        Raises ValueError for a cap below the first one.
+        Raises ValueError for a channel below the cap.
         """
         self._pacer.follow(cap_bps=cap_bps, channel_bps=channel_bps)
+        most_octets = self._pacer.max_payload_octets
+        self._rtp.max_payload_octets = min(self._max_payload_octets, most_octets)
 
     def poll_encode(self, now_ns: int) -> Coding | None:
         """Return how to encode the newest picture now, or None if not now."""

@@ -18,6 +18,7 @@ BENCHES = {
     "cpu": "CPU time of a live session, also beside another checkout of the project",
     "latency": "one page: every stream of a setup, end to end and by stage, and what is in it",
     "link": "the radio link: punctuality and cost on this machine",
+    "path": "a network between two ends on this machine, such as lte; it measures nothing itself",
     "sync": "how far sight, hearing and touch lie apart, from what they show; also of recordings",
     "video": "pictures through a thin channel: latency, quality, rate and cost",
 }

@@ -36,7 +36,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_options(parser, "--recode", "--cap-kbps")
     add_session_options(
-        parser, "radio", "radio_start", "radio_delay_ms", "seed", "deadband", "hand", "repair"
+        parser,
+        "radio",
+        "radio_start",
+        "radio_delay_ms",
+        "seed",
+        "deadband",
+        "hand",
+        "repair",
+        "path",
+        "path_batch_ms",
     )
     parser.set_defaults(seed=None)
     add_options(

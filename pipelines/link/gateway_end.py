@@ -4,12 +4,13 @@ from kontur_av.clock import NS_PER_MS
 from pipelines.link.link_metrics import WayInMetrics
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import ClockRow, LoopMetrics
-from pipelines.session.setup.segments import Segment
-from pipelines.session.setup.table import Setup
+from pipelines.session.setup.segments import Direction, Segment
+from pipelines.session.setup.table import Setup, VideoStream
 from pipelines.session.topology.table import Topology
 from pipelines.session.training import Exercises
 from telepresence.link.gateway import Gateway
 from telepresence.link.link_metrics import GatewayMetrics, PeerMetrics
+from telepresence.link.path.following import PARTS, PathNeeds
 from telepresence.link.slots import GatewaySlots
 from telepresence.link.supervision.local_check import LocalCheck, self_test
 from telepresence.link.supervision.message import SupervisionTiming
@@ -118,9 +119,18 @@ class GatewayEnd:
         _note_clock(probe, metrics)
         if peer is not None:
             probe.publish(peer)
+            self.gateway.repair.set_compact(peer.compact)
         if self._radio_in is not None:
             probe.publish(WayInMetrics(radio_back=self._radio_in.report()))
         return metrics
+
+
+def path_needs(topology: Topology, direction: Direction) -> PathNeeds:
+    """What the videos of one way need of a path."""
+    rows = (row for row in topology.media_streams if row.direction is direction)
+    streams = [row.stream for row in rows if isinstance(row.stream, VideoStream)]
+    least_parts = (PARTS * stream.least_bps // stream.cap_bps for stream in streams)
+    return PathNeeds(sum(stream.cap_bps for stream in streams), min(least_parts, default=PARTS))
 
 
 def _timing(setup: Setup) -> SupervisionTiming:

@@ -33,6 +33,7 @@ from pipelines.session.options import StreamOptions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.table import Topology
 from telepresence.link.link_metrics import PeerMetrics, address_text
+from telepresence.link.path.following import NO_VIDEO, PathNeeds
 from telepresence.link.profile import LinkProfile
 
 if TYPE_CHECKING:
@@ -74,9 +75,16 @@ class PeerPlan:
 
 
 def make_path(
-    plan: PeerPlan, transmit: LinkProfile, receive: LinkProfile, now_ns: int
+    plan: PeerPlan,
+    transmit: LinkProfile,
+    receive: LinkProfile,
+    now_ns: int,
+    needs: PathNeeds = NO_VIDEO,
 ) -> "PeerPath":
-    """Return the core of the path. transmit, receive: the profiles of the ways out and in."""
+    """Return the core of the path. transmit, receive: the profiles of the ways out and in.
+
+    needs: of the videos on the way out.
+    """
     protection = plan.protection
     if protection is None:
         from telepresence.link.peer_path import OpenPath
@@ -94,6 +102,7 @@ def make_path(
         bundling=Bundling(
             transmit, receive, plan.batch_ms * NS_PER_MS // transmit.slot_ns, plan.compact
         ),
+        needs=needs,
     )
 
 
@@ -112,7 +121,7 @@ class PeerSocket:
         self._looking = threading.Thread()
         self._found: deque[Address] = deque()
         self.failed, self.why = 0, ""
-        self._path = path
+        self.core = self._path = path
         self._clock_ns = clock_ns
         self._take, self._next = path.handle_datagram, path.next_frame
         self._seal = path.seal
@@ -184,8 +193,6 @@ class PeerSocket:
             self._found.append(host_port(known[0][4]))
 
 
-#: Slots of which the frames go in one datagram.
-BATCHES_MS = (1, 2, 4)
 _ANY, _ANY_6 = "0.0.0.0", "::"
 #: What stays visible as long as an end runs with `--insecure`.
 INSECURE = "this path is not protected: anybody on it can read, change and steer"
@@ -193,14 +200,17 @@ INSECURE = "this path is not protected: anybody on it can read, change and steer
 
 def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
     """The end that the options name; None: both run here. ConfigError if it cannot work."""
+    radio = topology.setup.radio_profile
+    if radio.network is not None:
+        raise ConfigError(
+            f"radio {radio.name} has a network, for `simulate` and `sweep`; between two live "
+            "ends it is `kontur-av bench path`"
+        )
     if args.end is None:
         why = " is for one end alone: add --end ground or --end space"
         names = ("listen", "peer", "key", "identity", "insecure", "path_batch_ms", "path")
         refuse_options(args, why, *names)
         return None
-    batch_ms = 1 if args.path_batch_ms is None else args.path_batch_ms
-    if batch_ms not in BATCHES_MS:
-        raise ConfigError(f"--path-batch-ms {batch_ms}: take 1, 2 or 4")
     segment = Segment(args.end)
     bind, peer, host = _addresses(args, topology)
     return PeerPlan(
@@ -209,8 +219,8 @@ def chosen_end(args: StreamOptions, topology: Topology) -> PeerPlan | None:
         peer=peer,
         host=host,
         protection=_protection(args),
-        batch_ms=batch_ms,
-        compact=args.path == "compact",
+        batch_ms=topology.setup.path_batch_ms,
+        compact=topology.setup.path == "compact",
     )
 
 

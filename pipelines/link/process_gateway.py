@@ -14,7 +14,7 @@ from typing import Final
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.topics.bus import TopicBus
-from pipelines.link.gateway_end import GatewayEnd
+from pipelines.link.gateway_end import GatewayEnd, path_needs
 from pipelines.link.link_metrics import SocketMetrics, gateway_topic, link_state_topic, link_values
 from pipelines.link.own_ends import PeerPlan, PeerSocket, make_path
 from pipelines.session.datagrams import (
@@ -43,6 +43,7 @@ from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.frame import MAX_PACKET_OCTETS
 from telepresence.link.gateway import Backlog, Gateway
 from telepresence.link.link_metrics import GatewayMetrics
+from telepresence.link.path.following import NO_VIDEO
 
 #: Frames of this time are one sample.
 _BATCH_NS: Final = 20 * NS_PER_MS
@@ -259,7 +260,9 @@ def run_gateway(
     path = None
     if peer is not None:
         way_out, way_in = end.gateway.sender.profile, end.gateway.receiver.profile
-        core = make_path(peer, way_out, way_in, clock.now_ns())
+        # Other programs' video follows nothing.
+        needs = path_needs(topology, segment.transmits) if publish_backlog else NO_VIDEO
+        core = make_path(peer, way_out, way_in, clock.now_ns(), needs)
         path = PeerSocket(core, peer, clock.now_ns)
     session = context.session if publish_backlog else None
     ports = GatewayPorts(topology, segment, end.gateway, addresses, path, session)
@@ -362,9 +365,13 @@ class _GatewayLoop:
     def _use_rest(self, now_ns: int) -> None:
         """Do what has most of a slot left, right after the frame was sent."""
         slots = self._slots
-        if self._path is not None and self._path.work(slots.deadline_ns):
-            # What else can wait finds a slot of its own.
-            return
+        path = self._path
+        if path is not None:
+            worked = path.work(slots.deadline_ns)
+            self._end.gateway.handle_path(path.core.allowed)
+            if worked:
+                # What else can wait finds a slot of its own.
+                return
         if self.backlogs is not None and (backlog := slots.poll_backlog()) is not None:
             self.backlogs.publish(backlog, now_ns)
         if now_ns >= slots.metrics_ns and slots.poll_metrics(now_ns, heard=False):
@@ -387,8 +394,6 @@ class _GatewayLoop:
         probe.publish(SocketMetrics(unsent=refused, unknown_senders=ports.unknown_senders()))
         self._end.handle_refused(refused, ports.to_peer.why, now_ns)
         path = None if self._path is None else self._path.report()
-        if path is not None:
-            self._end.gateway.repair.set_compact(path.compact)
         metrics = self._end.publish(now_ns, path)
         if self.topics is not None:
             self.topics.handle_metrics(metrics, now_ns)

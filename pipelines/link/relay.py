@@ -3,10 +3,11 @@
 import select
 from collections.abc import Callable
 from contextlib import suppress
+from socket import AF_INET6
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.datagrams import LOOPBACK, Address, host_port, listen
-from telepresence.link.path.network import NetworkPath
+from pipelines.session.datagrams import LOOPBACK, Address, family_of, host_port, listen
+from telepresence.link.radio.network import NetworkPath
 
 _MOST_OCTETS = 2048
 #: The longest sleep, so that a request to stop is seen.
@@ -14,15 +15,23 @@ _LOOK_NS = 50_000_000
 
 
 class PathRelay:
-    """Stands for the listening end, on loopback: the calling end calls `address` in its place.
+    """Stands for the listening end: the calling end calls `address` in its place.
 
-    target: the listening end. out, back: what happens to datagrams to it and from it.
+    target: the listening end. out, back: what happens to datagrams to it and from it. front: where
+    it is called. Raises OSError for an address that is busy or not here.
     """
 
     def __init__(
-        self, target: Address, out: NetworkPath, back: NetworkPath, clock_ns: Callable[[], int]
+        self,
+        target: Address,
+        out: NetworkPath,
+        back: NetworkPath,
+        clock_ns: Callable[[], int],
+        *,
+        front: Address = (LOOPBACK, 0),
     ) -> None:
-        self._front, self._rear = listen((LOOPBACK, 0)), listen((LOOPBACK, 0))
+        self._front = listen(front)
+        self._rear = listen(("::" if family_of(target[0]) == AF_INET6 else "0.0.0.0", 0))
         self.address = host_port(self._front.getsockname())
         self._out, self._back, self._clock_ns = out, back, clock_ns
         self._target, self._caller = target, None

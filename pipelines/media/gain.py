@@ -1,5 +1,7 @@
 """A video stream follows the link: its cap rises while slots leave haptic samples out, in steps.
 
+It falls while the path to another machine carries less.
+
 A new cap costs a key picture, so the cap rises late and in steps. It falls at once, because the
 room is no longer there. docs/experiments/haptics.md has the measured gain.
 """
@@ -12,6 +14,7 @@ from kontur_av.codecs.h26x import settings_of
 from kontur_av.streams.video_sender import VideoSender
 from pipelines.session.setup.table import Setup, VideoStream
 from telepresence.link.gateway import Backlog
+from telepresence.link.path.following import PARTS
 
 #: The cap rises after the room for a step was there for this time without a break.
 STEADY_NS = 2 * NS_PER_S
@@ -133,14 +136,14 @@ def _kilobits(stream: VideoStream, gain_bps: int) -> int:
 
 
 class LeftOut:
-    """Leaves out pictures at equal distances, so that their slots carry repair.
+    """Leaves out pictures at equal distances, so that their slots carry repair, or the path less.
 
     every: one picture of so many coded ones is left out; 0: none. Never more than leave the
-    stream's `least_fps`.
+    stream's `least_fps`. all: each picture is left out.
     """
 
     def __init__(self, stream: VideoStream) -> None:
-        self.every = 0
+        self.every, self.all = 0, False
         spare_hz = stream.coded_hz - stream.least_fps
         self._least = -(-stream.coded_hz // spare_hz) if spare_hz > 0 else None
         self._period_ns = NS_PER_S // stream.coded_hz
@@ -148,8 +151,8 @@ class LeftOut:
 
     def leaves_out(self, capture_ns: int) -> bool:
         """Whether to leave out the picture of this instant; ask once for each."""
-        if not self.every or self._least is None:
-            return False
+        if self.all or not self.every or self._least is None:
+            return self.all
         every = max(self.every, self._least)
         since_ns = capture_ns - self._last_ns
         if not 0 <= since_ns < (2 * every - 1) * self._period_ns // 2:
@@ -159,18 +162,22 @@ class LeftOut:
 
 
 class LinkedVideoSender:
-    """Adapts the `VideoSender` to the link: to its queue, and to the room of left-out samples.
+    """Adapts the `VideoSender` to the link: its queue, the room of left-out samples, and the path.
 
     Use `sender` for everything else.
 
+    stream: its cap falls to `least_bps` where the path carries less; further, nothing is coded.
     gain: raises the cap by what left-out samples free; None: the cap stays.
     left_out: the pictures that are not to be coded.
     """
 
-    def __init__(self, sender: VideoSender, left_out: LeftOut, gain: CapGain | None = None) -> None:
+    def __init__(
+        self, sender: VideoSender, stream: VideoStream, gain: CapGain | None = None
+    ) -> None:
         self.sender = sender
-        self.left_out = left_out
+        self.left_out = LeftOut(stream)
         self.gain = gain
+        self._least_bps, self._parts = stream.least_bps, PARTS
         self._cap_bps = sender.cap_bps
         self._channel_bps = sender.channel_bps
         self._freed_bps = 0
@@ -178,6 +185,8 @@ class LinkedVideoSender:
     def handle_backlog(self, backlog: Backlog, told_ns: int, now_ns: int) -> None:
         """What the gateway reported at `told_ns`."""
         self.left_out.every = backlog.leave_out
+        self.left_out.all = not backlog.cap_parts
+        self._parts = backlog.cap_parts
         self.handle_freed(backlog.freed_bps, now_ns)
         self.sender.handle_channel(
             backlog.waiting_octets, told_ns, contacts=backlog.contacts, way_back=backlog.peer_heard
@@ -186,7 +195,7 @@ class LinkedVideoSender:
     def handle_freed(self, freed_bps: int, now_ns: int) -> None:
         """The rate that slots without a sample left in the last second (`Gateway.freed_bps`)."""
         self._freed_bps = freed_bps
-        self._follow_freed(now_ns)
+        self._follow(now_ns)
 
     def poll_encode(self, now_ns: int) -> Coding | None:
         """As that of `VideoSender`: how to encode the newest picture now, or None."""
@@ -195,13 +204,16 @@ class LinkedVideoSender:
             return coding
         keyframe, rate_hz, refresh_s, cap_bps = coding
         anew = keyframe or rate_hz is not None or refresh_s is not None
-        self._follow_freed(now_ns, key_picture_due=anew)
+        self._follow(now_ns, key_picture_due=anew)
         return Coding(keyframe, rate_hz, refresh_s, self.sender.take_cap() or cap_bps)
 
-    def _follow_freed(self, now_ns: int, *, key_picture_due: bool = False) -> None:
-        if self.gain is None:
-            return
-        self.gain.handle_freed(self._freed_bps, now_ns, at_once=key_picture_due)
-        self.sender.follow(
-            cap_bps=self._cap_bps + self.gain.bps, channel_bps=self._channel_bps + self._freed_bps
-        )
+    def _follow(self, now_ns: int, *, key_picture_due: bool = False) -> None:
+        cap_bps, channel_bps = self._cap_bps, self._channel_bps
+        if self.gain is not None:
+            self.gain.handle_freed(self._freed_bps, now_ns, at_once=key_picture_due)
+            cap_bps, channel_bps = cap_bps + self.gain.bps, channel_bps + self._freed_bps
+        if self._parts < PARTS:
+            # Packets leave with more distance, too, so that a picture is no queue on the path.
+            cap_bps = max(cap_bps * self._parts // PARTS, self._least_bps)
+            channel_bps = max(channel_bps * self._parts // PARTS, cap_bps)
+        self.sender.follow(cap_bps=cap_bps, channel_bps=channel_bps)

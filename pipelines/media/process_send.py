@@ -182,7 +182,9 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
     context.on_flush(lambda: publish_sender(probe, sender))
     with context.open_bus() as bus:
         reader = bus.reader(topic, depth=8)
-        packets = TopicWriter(bus, context.topology.media(stream.name).sent_topic, wake=True)
+        row = context.topology.media(stream.name)
+        packets = TopicWriter(bus, row.sent_topic, wake=True)
+        backlogs = TopicReader(bus, row.backlog_topic)
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
@@ -195,5 +197,7 @@ def run_voice_send(context: Context, *, stream: VoiceStream, topic: str) -> None
                     data = encoder.encode(frame.samples)
                 sender.handle_packet(data, frame.stamp, clock.now_ns())
                 packets.publish_read(data, frame.stamp.capture_ns)
+            if (backlog := backlogs.latest()) is not None:
+                sender.handle_contacts(backlog.contacts, clock.now_ns())
             outgoing.handle_time(clock.now_ns())
         outgoing.close(clock.now_ns())

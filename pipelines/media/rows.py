@@ -89,7 +89,7 @@ def _sender(session: Topology, row: MediaRow) -> ProcessRow:
         priority=PICTURE_PRIORITY if video else VOICE_PRIORITY,
         reads=(
             *taken,
-            *given(video, row.backlog_topic),
+            row.backlog_topic,
             *given(selected and session.setup.region != "off", ROBOT_TOPIC),
         ),
         writes=(*given(selected, FOLLOWED_TOPIC), row.sent_topic),

@@ -12,7 +12,7 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.media.following import CameraFollower, Choice, tip_region
-from pipelines.media.gain import LeftOut, LinkedVideoSender, gain_of
+from pipelines.media.gain import LinkedVideoSender, gain_of
 from pipelines.media.stream_metrics import (
     Outgoing,
     note_unit,
@@ -67,7 +67,7 @@ class VideoSendEnd(Generic[PictureT]):
         release: Callable[[PictureT], object] = lambda _: None,
     ) -> None:
         self._sender = video_sender(setup, stream, identity, wall_offset_ns=wall_offset_ns)
-        self._linked = LinkedVideoSender(self._sender, LeftOut(stream), gain_of(setup, stream))
+        self._linked = LinkedVideoSender(self._sender, stream, gain_of(setup, stream))
         self._outgoing = Outgoing(self._sender, probe, *send)
         self._probe, self._release = probe, release
         self._follower = CameraFollower() if follows else None

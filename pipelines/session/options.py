@@ -17,7 +17,7 @@ from pipelines.session.option_rows import COMMON_ROWS
 from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.setup.table import NO_RADIO, Deadband, HandMode, Setup
+from pipelines.session.setup.table import NO_RADIO, Deadband, HandMode, PathForm, Setup
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import SIMULATED
 from telepresence.link.profile import Repair
@@ -150,7 +150,7 @@ class StreamOptions:
         False,
         rivals=("key", "identity", "path_batch_ms", "path"),
     )
-    path: Literal["slots", "compact"] | None = _radio(
+    path: PathForm | None = _radio(
         "with --end: one length of datagram for every slot (slots, the default), or leave out what "
         "is idle (compact), which shows an eavesdropper how much is sent",
         rivals=("insecure",),
@@ -346,7 +346,8 @@ def stream_options(args: argparse.Namespace) -> StreamOptions:
 
 def setup_changes(options: StreamOptions) -> Mapping[str, Any]:
     """What the options change in the setup."""
-    changes = {name: getattr(options, name) for name in ("base_port", "deadband", "hand", "repair")}
+    names = ("base_port", "deadband", "hand", "repair", "path", "path_batch_ms")
+    changes = {name: getattr(options, name) for name in names}
     if options.radio is not None:
         changes |= {"radio": load_radio(options.radio), "radio_delay_ms": 0.0}
     elif options.radio_delay_ms is not None:

@@ -1,5 +1,6 @@
 """The media of a simulated session, joined: inputs, senders and receivers with their coders."""
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import cast
@@ -32,6 +33,7 @@ from pipelines.virtual.streams import (
     Display,
     VideoReceiveProcess,
     VideoSendProcess,
+    VoiceProcess,
     VoiceReceiveProcess,
     VoiceSendProcess,
 )
@@ -220,7 +222,7 @@ class Media:
 
     def __init__(self, scene: Scene, on_confirmed: Callable[[int, int], None]) -> None:
         self.consumers: dict[str, Consumer] = {}
-        self.backlogs: dict[str, Callable[[Backlog, int], None]] = {}
+        self.backlogs: defaultdict[str, list[Callable[[Backlog, int], None]]] = defaultdict(list)
         self._scene = scene
         self._on_confirmed = on_confirmed
         #: Called with the instant of capture of the older half of each merged picture.
@@ -303,14 +305,18 @@ class Media:
     def _add_sender(self, stream: VideoStream, sender: VideoSendProcess) -> VideoSendProcess:
         scene = self._scene
         self.consumers[scene.topology.video(stream.name).feedback] = sender.handle_feedback
-        self.backlogs[scene.setup.profile_of(stream).name] = sender.handle_backlog
+        self.backlogs[scene.setup.profile_of(stream).name].append(sender.handle_backlog)
         return sender
+
+    def _add_voice(self, stream: VoiceStream, sender: VoiceProcess) -> None:
+        self.backlogs[self._scene.setup.profile_of(stream).name].append(sender.handle_backlog)
 
     def _send_voice(self, stream: VoiceStream, name: str) -> None:
         scene = self._scene
         spec = scene.setup.source(name)
         studio = scene.workers.start(partial(VoiceStudio, stream, name, spec, scene.start_ns))
         sender = VoiceSendProcess(scene, stream)
+        self._add_voice(stream, sender)
         Microphone(scene, name, studio, self._film(name, studio), sender.handle_sound)
 
     def _receive_video(self, stream: VideoStream) -> VideoReceiveProcess:

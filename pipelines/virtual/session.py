@@ -39,6 +39,7 @@ from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
 from pipelines.table import topology_of
 from pipelines.virtual.media import Media
 from pipelines.virtual.mission import SimulatedFiles, SimulatedMission, SimulatedTmtc
+from pipelines.virtual.network import NetworkWay, VirtualNetwork
 from pipelines.virtual.streams import Consumer
 from pipelines.virtual.workers import Agenda, Scene, Telling, Timer, Workers
 from telepresence.haptics.bilateral import Handle, HeldJoystick
@@ -53,6 +54,7 @@ from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.session import BOOT_IDS
 from telepresence.link.flows import HapticReceived, PacketReceived
 from telepresence.link.gateway import Gateway
+from telepresence.link.radio.path import RadioPath
 from telepresence.tasks.cosmonaut import Cosmonaut, Skill
 from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.plan import SessionPlan
@@ -151,9 +153,16 @@ class Simulation:
             start_ns=start_ns,
         )
         self._slots_of = [ground_end.slots, space_end.slots]
+        self._network: VirtualNetwork | None = None
+        up: RadioPath | NetworkWay = self._ground.radio
+        down: RadioPath | NetworkWay = self._space.radio
+        if setup.radio_profile.network is not None:
+            ends = {Segment.GROUND: ground_end, Segment.SPACE: space_end}
+            self._network = VirtualNetwork(self.topology, ends, seed=seed, now_ns=start_ns)
+            up, down = (self._network.ways[segment] for segment in ends)
         # When the next frame arrives: asked twice a slot, so without a detour.
-        self._up_timeout = self._ground.radio.poll_timeout
-        self._down_timeout = self._space.radio.poll_timeout
+        self._up_timeout, self._down_timeout = up.poll_timeout, down.poll_timeout
+        self._poll_up, self._poll_down = up.poll_transmit, down.poll_transmit
         telemetry = self.topology.stream(TELEMETRY)
         assert telemetry.sender is not None and telemetry.receiver is not None
         self._robot, self._joystick = self._make_ends()
@@ -270,6 +279,7 @@ class Simulation:
         ground_slots, space_slots = self._slots_of
         ground_slot, space_slot = ground_slots.handle_slot, space_slots.handle_slot
         publish_backlogs = self._publish_backlogs
+        ways = () if self._network is None else tuple(self._network.ways.values())
         robot, joystick = self._robot, self._joystick
         to_robot, to_joystick = robot.handle_datagram, joystick.handle_datagram
         robot_cycle, joystick_cycle = robot.handle_cycle, joystick.handle_cycle
@@ -289,6 +299,8 @@ class Simulation:
             ground_slot((), slot_ns)
             space_slot((), slot_ns)
             publish_backlogs(slot_ns)
+            for way in ways:
+                way.handle_slot(slot_ns)
             now_ns = slot_ns + half_ns
             advance(now_ns)
             for sample in samples_down:
@@ -421,10 +433,9 @@ class Simulation:
         for slots, profile in zip(
             self._slots_of, (self.setup.uplink, self.setup.downlink), strict=True
         ):
-            backlog = slots.poll_backlog()
-            take = self._media.backlogs.get(profile.name)
-            if backlog is not None and take is not None:
-                take(backlog, now_ns)
+            if (backlog := slots.poll_backlog()) is not None:
+                for take in self._media.backlogs[profile.name]:
+                    take(backlog, now_ns)
 
     def _advance(self, until_ns: int) -> None:
         """All that happens up to `until_ns` beside the slots and the haptic cycles."""
@@ -434,16 +445,17 @@ class Simulation:
             earliest_ns = next_ns if next_ns <= until_ns else until_ns
             up_ns, down_ns = up_timeout(), down_timeout()
             if up_ns is not None and up_ns <= earliest_ns and (down_ns is None or up_ns <= down_ns):
-                self._carry(self._ground, self._space, self._samples_up, up_ns)
+                self._carry(self._poll_up(up_ns), self._space, self._samples_up, up_ns)
             elif down_ns is not None and down_ns <= earliest_ns:
-                self._carry(self._space, self._ground, self._samples_down, down_ns)
+                self._carry(self._poll_down(down_ns), self._ground, self._samples_down, down_ns)
             elif next_ns <= until_ns:
                 agenda.do_next()
             else:
                 return
 
-    def _carry(self, sender: Gateway, receiver: Gateway, samples: list[bytes], now_ns: int) -> None:
-        frame = sender.poll_transmit(now_ns)
+    def _carry(
+        self, frame: bytes | None, receiver: Gateway, samples: list[bytes], now_ns: int
+    ) -> None:
         if frame is None:
             return
         receiver.handle_radio(frame, now_ns)
@@ -469,7 +481,13 @@ class Simulation:
             first_ns=self.start_ns,
         )
 
-        self._telling.add(lambda: end.publish(self._telling.now_ns))
+        def publish() -> None:
+            now_ns, path = self._telling.now_ns, None
+            if self._network is not None:
+                path = self._network.paths[segment].report(now_ns)
+            end.publish(now_ns, path)
+
+        self._telling.add(publish)
         return end
 
     def _random(self, what: str) -> Random:

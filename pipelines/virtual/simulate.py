@@ -210,7 +210,9 @@ class ReplayedMedia(Media):
         if not units:
             return
         cost_ns = BLOCK_NS + scene.costs.ns("voice_encode")
-        self._feed(stream.name, units, cost_ns, VoiceProcess(scene, stream))
+        sender = VoiceProcess(scene, stream)
+        self._add_voice(stream, sender)
+        self._feed(stream.name, units, cost_ns, sender)
 
     def _feed(
         self,

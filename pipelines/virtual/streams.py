@@ -129,6 +129,9 @@ class VoiceProcess:
         scene.telling.add(lambda: publish_sender(probe, sender))
         scene.at_end.append(self._outgoing.close)
 
+    def handle_backlog(self, backlog: Backlog, now_ns: int) -> None:
+        self._sender.handle_contacts(backlog.contacts, now_ns)
+
     def handle_coded(self, unit: AccessUnit, now_ns: int) -> None:
         """A recorded unit comes."""
         if self._sender.handle_block(unit.stamp, now_ns):

@@ -24,6 +24,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.link.clock_exchange import ClockExchange, ReportClock, is_clock
 from telepresence.link.flows import Flow, FlowKind, HapticReceived, Level, LinkEvent, PacketReceived
 from telepresence.link.link_metrics import GatewayMetrics
+from telepresence.link.path.following import ALL, PARTS, Allowed
 from telepresence.link.profile import LinkProfile
 from telepresence.link.queues import QueueLimits
 from telepresence.link.radio import RadioPath
@@ -98,6 +99,8 @@ class Gateway:
         self.receiver = LinkReceiver(receive, receive_flows)
         self.receiver.cautious = True
         self.repair = EndRepair(self.sender, self.receiver)
+        #: What of the profile the path to another machine carries.
+        self.allowed = ALL
         self.radio = RadioPath() if radio is None else radio
         self.supervisor = Supervisor(
             master=master,
@@ -171,6 +174,12 @@ class Gateway:
         supervisor.handle_frame(now_ns)
         if was_silent:
             self._follow_supervision()
+
+    def handle_path(self, allowed: Allowed) -> None:
+        """So much of the profile goes over the path to another machine now."""
+        if allowed != self.allowed:
+            self.allowed = allowed
+            self.repair.set_saving(not allowed.idle)
 
     def handle_slot(self, now_ns: int, due_ns: int | None = None) -> None:
         """A slot begins: send exactly one frame.
@@ -336,7 +345,9 @@ class Backlog(NamedTuple):
     peer_heard: whether the peer is heard now.
     freed_bps: capacity left by slots without a haptic sample (`Gateway.freed_bps`).
     maintenance_octets: what waits on the lowest level.
-    leave_out: one picture of so many is to be left out, for repair; 0: none.
+    leave_out: one picture of so many is to be left out, for repair or a slow path; 0: none.
+    cap_parts: what the path to another machine carries of the caps of video, in parts of `PARTS`;
+        0: no video.
     """
 
     waiting_octets: int
@@ -345,6 +356,7 @@ class Backlog(NamedTuple):
     freed_bps: int
     maintenance_octets: int = 0
     leave_out: int = 0
+    cap_parts: int = PARTS
 
 
 class BacklogReporter:
@@ -355,7 +367,7 @@ class BacklogReporter:
         self._supervisor = gateway.supervisor
         self._video = gateway.sender.queue(Level.VIDEO)
         self._maintenance = gateway.sender.queue(Level.MAINTENANCE)
-        self._seen: tuple[int, int, bool, int, int, int] | None = None
+        self._seen: tuple[int, int, bool, int, int, int, int] | None = None
         self._reported: Backlog | None = None
         self._due_ns = self._repeat_ns = 0
 
@@ -367,8 +379,10 @@ class BacklogReporter:
         waiting_octets = self._video.octets + gateway.sender.begun_octets(Level.VIDEO)
         left_octets = self._maintenance.octets
         signal, free_slots = self._supervisor.signal, gateway.free_slots
-        leave_out = gateway.repair.leave_out
-        seen = waiting_octets, gateway.contacts, signal, free_slots, left_octets, leave_out
+        path = gateway.allowed
+        rates = [every for every in (gateway.repair.leave_out, path.leave_out) if every]
+        reduced = min(rates, default=0), path.cap_parts
+        seen = waiting_octets, gateway.contacts, signal, free_slots, left_octets, *reduced
         again = now_ns >= self._repeat_ns
         if seen == self._seen and not again:
             return None

@@ -320,11 +320,11 @@ class PeerMetrics:
     failed_attempts: int = 0
     #: Changes of the other end's address.
     address_changes: int
-    #: Datagrams with frames sent.
+    #: Records sent: with frames, with reports, and signs of life.
     sent: int
     #: Frames not sent for want of session or address.
     unsent: int
-    #: Datagrams whose frame was taken.
+    #: Records taken.
     taken: int
     #: Datagrams of handshakes that were heeded.
     handshake_datagrams: int = 0
@@ -342,6 +342,19 @@ class PeerMetrics:
     frames_put_back: int = 0
     #: Frames that came too late for that.
     frames_too_late: int = 0
+    #: What goes over the path now: `all`, `no idle`, `lower caps`, `fewer pictures` or `no video`;
+    #: `too slow` where nothing less would help.
+    path_state: Newest[str] = "all"
+    #: Why not all.
+    path_why: Newest[str] = ""
+    #: Of what is sent, the rate that arrives at the other end, with UDP and IP.
+    path_bps: Newest[int] = 0
+    #: How long it waits on the path.
+    path_queue_ns: Newest[int] = 0
+    #: The share of its records that was lost in the last half second.
+    path_loss: Newest[float] = 0.0
+    #: What the videos of the way out may take together now, in RTP payload.
+    video_cap_bps: Newest[int] = 0
     #: The newest 50.
     events: tuple[PeerEvent, ...]
 

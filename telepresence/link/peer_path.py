@@ -23,9 +23,24 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from telepresence.link.frame import FrameCodec
 from telepresence.link.link_metrics import Address, PeerHistory, PeerMetrics, address_text
 from telepresence.link.path.bundles import Bundling, FramePacker, FrameUnpacker
+from telepresence.link.path.following import (
+    ALL,
+    NO_VIDEO,
+    PARTS,
+    Allowed,
+    Arrivals,
+    PathFollower,
+    PathNeeds,
+    PathReport,
+)
 from telepresence.link.path.order import FrameOrder
 from telepresence.link.profile import LinkProfile
-from telepresence.link.protection.agreement import READS_ALL, READS_COMPACT, READS_PACKED
+from telepresence.link.protection.agreement import (
+    READS_ALL,
+    READS_COMPACT,
+    READS_PACKED,
+    READS_REPORTS,
+)
 from telepresence.link.protection.channel import (
     REKEY_NS,
     HandshakeFailed,
@@ -33,7 +48,7 @@ from telepresence.link.protection.channel import (
     ProtectedChannel,
     SessionBegun,
 )
-from telepresence.link.protection.datagrams import RECORD, RECORDS
+from telepresence.link.protection.datagrams import RECORD, RECORDS, REPORT
 from telepresence.link.protection.identity import MachineIdentity, MachineKey
 
 #: UDP and IP around a datagram.
@@ -58,7 +73,8 @@ class ProtectedPath:
 
     rekey_ns: new keys after this time.
     bundling: what this end wants of its datagrams; None: it neither sends nor reads several frames
-        in one.
+        in one, and follows no path.
+    needs: what the videos of the way out need.
     """
 
     def __init__(
@@ -71,6 +87,7 @@ class ProtectedPath:
         now_ns: int,
         rekey_ns: int = REKEY_NS,
         bundling: Bundling | None = None,
+        needs: PathNeeds = NO_VIDEO,
     ) -> None:
         self._channel = ProtectedChannel(
             key,
@@ -83,11 +100,14 @@ class ProtectedPath:
         )
         self._packer: FramePacker | None = None
         self._unpacker: FrameUnpacker | None = None
+        self._arrivals: Arrivals | None = None
+        self._follower = PathFollower(needs)
         #: What the other end has to read for that.
         self._needs = 0
         if bundling is not None:
             batch, compact = bundling.batch, bundling.compact
             self._unpacker = FrameUnpacker(bundling.receive)
+            self._arrivals = Arrivals(bundling.receive.slot_ns)
             if compact or batch > 1:
                 self._packer = FramePacker(bundling.transmit, batch=batch, compact=compact)
                 self._needs = READS_COMPACT if compact else READS_PACKED
@@ -119,10 +139,16 @@ class ProtectedPath:
         if content is not None:
             # A record without a frame is a sign of life only.
             frames: tuple[bytes, ...] | None = (content,) if content else ()
-            if datagram[0] != RECORD:
+            if datagram[0] == REPORT:
+                frames = self._take_report(content, now_ns)
+            elif datagram[0] != RECORD:
                 unpacker = self._unpacker
                 frames = None if unpacker is None else unpacker.unpack(datagram[0], content)
             self._malformed += frames is None
+            if self._arrivals is not None:
+                count = int.from_bytes(frames[-1][2:5], "big") if frames else None
+                octets = _octets_on_path(datagram, source)
+                self._arrivals.handle_record(*channel.place, count, octets, now_ns)
             order.handle_record(*channel.place, frames or (), now_ns)
         return order.poll_frame(now_ns)
 
@@ -159,6 +185,25 @@ class ProtectedPath:
         return self._packs and self._needs == READS_COMPACT
 
     @property
+    def allowed(self) -> Allowed:
+        """What of the profile goes over the path now."""
+        return self._follower.allowed if self._reports else ALL
+
+    @property
+    def _reports(self) -> bool:
+        return bool(READS_REPORTS & self._channel.peer_reads)
+
+    def _take_report(self, content: bytes, now_ns: int) -> tuple[bytes, ...] | None:
+        report = PathReport.parse(content)
+        if report is None:
+            return None
+        follower, sent = self._follower, self._octets_sent
+        words = follower.handle_report(report, sent, now_ns, compact=self.compact)
+        if words is not None:
+            self._history.add(f"over the path: {words}", now_ns)
+        return ()
+
+    @property
     def _packs(self) -> bool:
         return bool(self._needs & self._channel.peer_reads)
 
@@ -167,7 +212,7 @@ class ProtectedPath:
         address = self._channel.peer_address
         if datagram is None or address is None:
             return None
-        self._octets_sent += len(datagram) + (IPV6_OCTETS if ":" in address[0] else IPV4_OCTETS)
+        self._octets_sent += _octets_on_path(datagram, address)
         return datagram, address
 
     def handle_rest(self, now_ns: int, until_ns: int) -> bool:
@@ -179,6 +224,11 @@ class ProtectedPath:
         while packer is not None and (bundle := packer.poll_transmit(now_ns)) is not None:
             # Those of an end that is gone would be late for the next one.
             if self._packs and (sealed := self._seal(*bundle, now_ns)) is not None:
+                self._own.append(sealed)
+        arrivals = self._arrivals
+        if self._reports and arrivals is not None:
+            report = arrivals.poll_transmit(now_ns)
+            if report is not None and (sealed := self._seal(REPORT, report, now_ns)) is not None:
                 self._own.append(sealed)
         if not self._waiting and now_ns < self._due_ns:
             return False
@@ -213,7 +263,7 @@ class ProtectedPath:
     def report(self, now_ns: int) -> PeerMetrics:
         """What this end knows of the path until `now_ns`."""
         self._take_events(now_ns)
-        metrics = self._channel.metrics
+        metrics, follower = self._channel.metrics, self._follower
         dropped = dict(metrics.dropped)
         if self._malformed:
             dropped["malformed"] = dropped.get("malformed", 0) + self._malformed
@@ -240,6 +290,12 @@ class ProtectedPath:
             order_budget_ns=self._order.budget_ns(now_ns),
             frames_put_back=self._order.put_back,
             frames_too_late=self._order.too_late,
+            path_state=self.allowed.state,
+            path_why=follower.why,
+            path_bps=follower.path_bps,
+            path_queue_ns=follower.queue_ns,
+            path_loss=follower.loss,
+            video_cap_bps=follower.needs.video_bps * self.allowed.cap_parts // PARTS,
             events=self._history.events(),
         )
 
@@ -258,6 +314,10 @@ class ProtectedPath:
                 history.add(f"peer {'moved to' if moved else 'found at'} {where}", now_ns)
             elif isinstance(event, HandshakeFailed):
                 history.add(f"handshake failed: {event.why}", now_ns)
+
+
+def _octets_on_path(datagram: bytes, address: Address) -> int:
+    return len(datagram) + (IPV6_OCTETS if ":" in address[0] else IPV4_OCTETS)
 
 
 class LookupSchedule:
@@ -285,7 +345,10 @@ class OpenPath:
     """See the module for whose frames are followed.
 
     receive: the profile of the way in. address: where the peer is; None: it calls.
+    allowed: nothing is followed.
     """
+
+    allowed = ALL
 
     def __init__(self, receive: LinkProfile, *, address: Address | None, now_ns: int) -> None:
         self._codec = FrameCodec(receive)

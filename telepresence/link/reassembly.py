@@ -5,9 +5,8 @@ It never raises because of data from the peer; invalid data is counted by reason
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass
-from typing import Self
+from typing import TypeVar
 
 from telepresence.link.flows import (
     MAX_FLOWS,
@@ -32,6 +31,8 @@ from telepresence.link.frame import (
 )
 from telepresence.link.header_compression import KIND_WHOLE, RtpDecompressor
 from telepresence.link.profile import SUPERVISION_OCTETS, LinkProfile
+
+_Copied = TypeVar("_Copied", "PacketReassembly", RtpDecompressor)
 
 #: Bits of a packet's place for the position of its tag.
 PLACE_SHIFT = 11
@@ -104,15 +105,17 @@ class PacketReassembly:
                 self._finish(self._on_air, now_ns)
             self._parse_tags(zone, pointer, count, now_ns)
 
-    def fork(self, hand_on: Callable[[int, int, bytes, int], None]) -> Self:
+    def fork(self, hand_on: Callable[[int, int, bytes, int], None]) -> "PacketReassembly":
         """Return another one in the same state, whose drops nobody counts."""
-        other = copy(self)
+        other = _copy(self)
         other.hand_on, other.dropped = hand_on, {}
         other._partials = [
             partial and _Partial(partial.tag, partial.place, partial.body[:])
             for partial in self._partials
         ]
-        other._decompressors = [copy(decompressor) for decompressor in self._decompressors]
+        other._decompressors = [
+            decompressor and _copy(decompressor) for decompressor in self._decompressors
+        ]
         return other
 
     def drop_incomplete(self) -> None:
@@ -232,3 +235,10 @@ class PacketReassembly:
             self._events.append(PacketReceived(self.flows[number], packet, now_ns))
         else:
             self.drop("unapproved")
+
+
+def _copy(of: _Copied) -> _Copied:
+    """A shallow copy, several times faster than `copy.copy`."""
+    other = of.__new__(type(of))
+    other.__dict__.update(of.__dict__)
+    return other

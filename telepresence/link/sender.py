@@ -56,7 +56,6 @@ class LinkSender:
 
     repair: fills idle zones; None: they stay idle.
     reserve: the slots that are kept for repair.
-    repairs_idle: whether idle zones carry repair beside that.
     """
 
     def __init__(
@@ -109,7 +108,8 @@ class LinkSender:
         #: Only the next zone's pointer tells that the packet in flight ended with the last zone.
         self._end_untold = False
         self.reserve = NOTHING
-        self.repairs_idle = True
+        #: Packets of the lowest level wait, but for one that has begun.
+        self.holds_maintenance = False
         #: Repair zones that the reserve still asks for.
         self._owed = 0
 
@@ -217,7 +217,7 @@ class LinkSender:
         if repair is not None:
             if content is not None:
                 repair.protect(count, *content)
-            elif repaired is None and not untold and self.repairs_idle:
+            elif repaired is None and not untold and (repair.credit or repair.new):
                 repaired = repair.repair(count, plain=sample is None)
             if repaired is not None:
                 self._owed = max(0, self._owed - 1)
@@ -351,6 +351,8 @@ class LinkSender:
                 waiting[level] = None
                 if queue.continues(now_ns):
                     return begun
+            if level == Level.MAINTENANCE and self.holds_maintenance:
+                return None
             if queue.octets and queue.waiting(now_ns):
                 return self._begin(level, now_ns)
         for level in self._limited:

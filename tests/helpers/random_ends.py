@@ -16,6 +16,9 @@ from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.device.states import JoystickEvent
 from telepresence.haptics.envelope import Hold, SafetyEnvelope, SafetyLimits
 from telepresence.haptics.loop import joystick_link, robot_link
+from telepresence.link.path.order import FrameOrder
+from telepresence.link.radio import Network
+from telepresence.link.radio.network import NetworkPath
 
 MS = 1_000_000
 LIMITS = SafetyLimits()
@@ -214,3 +217,74 @@ class Ends:
                 due_ms += self.random.randrange(200, 5000)
             self.step()
         return self.wrong
+
+
+def random_network(random):
+    """Draw a network: most are bad in one way, some in all."""
+    all_ways = random.random() < 0.1
+
+    def draw(*choices):
+        return random.choice(choices) if all_ways or random.random() < 0.15 else 0
+
+    return Network(
+        delay_ms=random.choice((2, 10, 40, 100, 300)),
+        jitter_ms=draw(5, 30, 200),
+        loss=draw(0.01, 0.1, 0.5, 1.0),
+        burst_ms=draw(3, 20, 300),
+        rate_kbps=draw(40, 300, 600),
+        reordered=draw(0.01, 0.2),
+        reorder_ms=draw(3, 15, 60),
+        repeated=draw(0.01, 0.2),
+    )
+
+
+class NetworkWay:
+    """One direction of a network that changes; what overtakes is put back in order."""
+
+    def __init__(self):
+        self.paths, self.order = [], FrameOrder()
+        self.sent, self.came = [], set()
+
+    def send(self, sample, now_ms):
+        self.sent.append((sample, now_ms))
+        self.paths[-1].handle_datagram(len(self.sent).to_bytes(60, "big"), now_ms * MS)
+
+    def arrive(self, now_ms):
+        now_ns = now_ms * MS
+        for path in self.paths:
+            while (datagram := path.poll_transmit(now_ns)) is not None:
+                number = int.from_bytes(datagram, "big")
+                # The protected channel drops what comes again.
+                if number not in self.came:
+                    self.came.add(number)
+                    self.order.handle_record(0, number, (datagram,), now_ns)
+        while (datagram := self.order.poll_frame(now_ns)) is not None:
+            sample, sent_ms = self.sent[int.from_bytes(datagram, "big") - 1]
+            yield now_ms, sample, sent_ms
+
+
+class NetworkEnds(Ends):
+    """The same over a network whose delay, losses, rate and order change at random."""
+
+    def __init__(self, seed):
+        super().__init__(seed)
+        self.deeds = DEEDS
+        self.ways = {"down": NetworkWay(), "up": NetworkWay()}
+        self.changes_ms = 0
+
+    def slack_ms(self):
+        return OLD_MS
+
+    def step(self):
+        if self.now_ms >= self.changes_ms:
+            self.changes_ms += self.random.choice((200, 1000, 4000))
+            for way in self.ways.values():
+                way.paths.append(NetworkPath(random_network(self.random), self.random.random()))
+        for name, way in self.ways.items():
+            getattr(self, name).extend(way.arrive(self.now_ms))
+        super().step()
+
+    def send(self, side, name):
+        sample = side.poll_transmit(self.now_ms * MS)
+        if sample is not None and self.now_ms >= self.lost_until:
+            self.ways[name].send(sample, self.now_ms)

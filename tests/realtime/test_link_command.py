@@ -21,7 +21,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
-from telepresence.link.path.network import NetworkConditions, NetworkPath
+from telepresence.link.radio.network import Network, NetworkPath
 
 SPACEJUSTIN = BUILT_IN["spacejustin"]
 FLOWS = [row.flow for row in topology_of(SPACEJUSTIN).streams if row.flow is not None]
@@ -160,9 +160,7 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
 
 def test_two_ends_over_a_network_that_loses_and_reorders(start, program, keys):
     base = free_base_port()
-    bad = NetworkConditions(
-        delay_ns=5_000_000, loss=0.01, reordered=0.05, reorder_ns=4_000_000, repeated=0.01
-    )
+    bad = Network(delay_ms=5, loss=0.01, reordered=0.05, reorder_ms=4, repeated=0.01)
     ways = (NetworkPath(bad, 1), NetworkPath(bad, 2))
     relay, stop = PathRelay(("127.0.0.1", base), *ways, time.monotonic_ns), threading.Event()
     thread = threading.Thread(target=relay.run, args=(stop.is_set,), daemon=True)

@@ -136,6 +136,16 @@ def test_plot_pass(tmp_path):
     assert "iss.tle" in done.stderr
 
 
+def test_plot_repair(tmp_path):
+    picture = tmp_path / "repair.png"
+    done = run("plot_repair.py", "--seconds", 2, "--loss", 0.02, "--picture", picture)
+    own = [line for line in done.stdout.splitlines() if not line.startswith("GStreamer")]
+    shares = [float(line.split()[-1]) for line in own]
+    # In the order of the curves: nothing, idle slots, and what is left out for them.
+    assert shares[0] < shares[1] <= shares[2] <= 100
+    assert cv2.imread(str(picture)).shape == (600, 1050, 3)
+
+
 def test_slots_virtual_time_and_mediated_wall(tmp_path):
     lines = run("slots_virtual_time.py", 3).stdout.splitlines()
     assert lines[0] == "haptic samples received: 3000 in 3000 slots"

@@ -6,7 +6,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.rtp.sender import RtpIdentity
-from pipelines.media.gain import LeftOut, LinkedVideoSender, gain_of
+from pipelines.media.gain import LinkedVideoSender, gain_of
 from pipelines.media.stream_metrics import video_sender
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.virtual.simulate import simulate
@@ -53,7 +53,7 @@ def test_the_cap_follows_the_gain_at_once_and_stays_without_one():
     stream = setup.uplink_video
     for gain in (gain_of(setup, stream), None):
         sender = video_sender(setup, stream, RtpIdentity(1, 2, 3), wall_offset_ns=0)
-        linked, gained, channels = LinkedVideoSender(sender, LeftOut(stream), gain), [], []
+        linked, gained, channels = LinkedVideoSender(sender, stream, gain), [], []
         for tenth in range(41):
             linked.handle_freed(80_000 if tenth < 40 else 0, tenth * NS_PER_S // 10)
             gained.append(sender.cap_bps - stream.cap_bps)

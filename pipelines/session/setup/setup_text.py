@@ -35,8 +35,8 @@ def _file_field(of: Field[Any], hint: Any) -> tuple[str, Any, Any]:
     name, default = of.name, of.default
     inner = get_args(hint)[0] if get_origin(hint) is UnionType else hint
     if name.endswith("_bps"):
-        name, hint = name.replace("_bps", "_kbps"), float
-        default = default if default is MISSING else default / 1000
+        name, hint = name.replace("_bps", "_kbps"), float if hint is int else float | None
+        default = default if default in (MISSING, None) else default / 1000
     elif name == "width":
         name, hint, default = "size", str, f"{VideoStream.width}x{VideoStream.height}"
     elif name == "coded":
@@ -65,7 +65,7 @@ def setup_values(entry: Any, name: str = "") -> Mapping[str, Any]:
     for each in fields(entry):
         key, value = each.name, getattr(entry, each.name)
         if key.endswith("_kbps"):
-            key, value = key.replace("_kbps", "_bps"), round(value * 1000)
+            key, value = key.replace("_kbps", "_bps"), value and round(value * 1000)
         elif key == "size":
             values["width"], value = parse_size(value, f"{name}.size")
             key = "height"

@@ -36,6 +36,8 @@ STEREO_INPUTS = ("left", "right")
 
 GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC = "ground_mic", "operator_camera", "operator_mic"
 
+#: The lowest cap that an encoder takes.
+LEAST_VIDEO_BPS = 10_000
 VOICE_PACKETS_PER_S = 50  # RFC 7587: one packet per 20 ms
 #: Small enough that no part of a coded picture takes more than a picture's share of the link.
 VIDEO_PAYLOAD_OCTETS = 1000
@@ -62,7 +64,10 @@ class VideoStream:
     coded: (width, height) in which pictures are coded; None: the largest size that the cap has
         bits for (`coded_size`). They are shown in the stream's size.
     codec: `h264`, or `h265` for a better picture at more computing.
-    least_fps: fewer pictures a second are not sent where some are left out for repair.
+    least_fps: fewer pictures a second are not sent where some are left out, for repair or a slow
+        path.
+    least_cap_bps: the cap falls to it where the path between two machines carries less; None: a
+        third of the cap.
     """
 
     name: str
@@ -75,6 +80,7 @@ class VideoStream:
     codec: VideoCodec = "h264"
     stale_after_ms: float | None = None
     least_fps: int = 20
+    least_cap_bps: int | None = None
 
     def __post_init__(self) -> None:
         if self.least_fps < 1:
@@ -82,6 +88,11 @@ class VideoStream:
         if not 20_000 <= self.cap_bps <= 20_000_000:
             raise ConfigError(
                 f"{self.name}: cap of {self.cap_bps / 1000:g} kbit/s; video takes 20 to 20000"
+            )
+        if not LEAST_VIDEO_BPS <= self.least_bps <= self.cap_bps:
+            raise ConfigError(
+                f"{self.name}: least cap of {self.least_bps / 1000:g} kbit/s; take 10 to the cap, "
+                f"{self.cap_bps / 1000:g}"
             )
         if not 1 <= self.fps <= 120:
             raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
@@ -96,6 +107,12 @@ class VideoStream:
                     f"{self.name}: pictures of {self.width}x{self.height} coded as "
                     f"{self.coded[0]}x{self.coded[1]}: take no larger size, or leave coded out"
                 )
+
+    @property
+    def least_bps(self) -> int:
+        """The lowest cap on a path that carries less."""
+        least_bps = self.least_cap_bps
+        return max(self.cap_bps // 3, LEAST_VIDEO_BPS) if least_bps is None else least_bps
 
     @property
     def coded_size(self) -> tuple[int, int]:
@@ -148,6 +165,9 @@ def _check_stale_after(stream: VideoStream | VoiceStream) -> None:
 #: What happens to the room of haptic samples that nobody would feel. `off`: no sample is left out.
 #: `picture`: the video's cap rises. `latency`: the same pictures are sent sooner.
 Deadband = Literal["off", "picture", "latency"]
+PathForm = Literal["slots", "compact"]
+#: Slots of which the frames go in one datagram.
+BATCHES_MS = (1, 2, 4)
 
 #: What the operator's hand feels. `direct`: the robot's delayed force. `mediated`: a wall that the
 #: robot's side estimates and the joystick's side renders. `auto`: that wall, and directly what it
@@ -208,6 +228,9 @@ class Setup:
     repair: what restores lost frames (docs/link.md#repair): idle slots, with `auto` also pictures
         left out while the other end reports losses, or nothing. A direction whose frames have no
         room for it, or whose other end does not know it, goes without in `auto`.
+    path, path_batch_ms: how frames go in datagrams between two machines: one length for every slot
+        (`slots`), or without what is idle (`compact`); those of 1, 2 or 4 ms together
+        (docs/two-machines.md).
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
         joystick (docs/haptics-controllers.md).
     axes, gripper: what the hand moves: x and y, with 3 also z, with 6 also three rotations; and a
@@ -238,6 +261,8 @@ class Setup:
     radio_delay_ms: float = 0.0
     deadband: Deadband = "off"
     repair: Repair = "auto"
+    path: PathForm = "slots"
+    path_batch_ms: int = 1
     hand: HandMode = "direct"
     axes: int = 2
     gripper: bool = False
@@ -276,6 +301,8 @@ class Setup:
             )
         self._make_room()
         self._take_repair()
+        if self.path_batch_ms not in BATCHES_MS:
+            raise ConfigError(f"path_batch_ms {self.path_batch_ms}: take 1, 2 or 4")
         if not 0 <= self.radio_delay_ms <= 10_000:
             raise ConfigError(f"radio delay of {self.radio_delay_ms:g} ms; take 0 to 10000")
         radio = self._named_radio

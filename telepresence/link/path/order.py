@@ -91,7 +91,8 @@ class FrameOrder:
                 self._next += 1
                 continue
             first = min(waiting)
-            if now_ns - self._missing[first - 1] < self.budget_ns(now_ns):
+            # Of a long gap only the end is remembered.
+            if now_ns - self._missing.get(first - 1, 0) < self.budget_ns(now_ns):
                 break
             self._next = first
         return self._ready.popleft() if self._ready else None

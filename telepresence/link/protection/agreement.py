@@ -24,9 +24,9 @@ from telepresence.link.protection.identity import MachineIdentity, MachineKey
 #: RFC 5705 section 4: labels outside the registry begin so.
 _LABEL = b"EXPERIMENTAL kontur-av link 1"
 _READ_OCTETS = 16384
-#: What an end can read: records with several frames, and without what is idle.
-READS_PACKED, READS_COMPACT = 1, 2
-READS_ALL = READS_PACKED | READS_COMPACT
+#: What an end can read: records with several frames, those without what is idle, and reports.
+READS_PACKED, READS_COMPACT, READS_REPORTS = 1, 2, 4
+READS_ALL = READS_PACKED | READS_COMPACT | READS_REPORTS
 _PROTOCOLS = {b"kontur path %d" % reads: reads for reads in range(READS_ALL, 0, -1)}
 #: RFC 8446 section 5.1 and 5.2: the header, and the most that may follow.
 _HEADER_OCTETS = 5

@@ -1,7 +1,8 @@
 """The datagrams between two protected ends: records with frames, and segments of a handshake.
 
 A record is one transfer frame, encrypted and authenticated, in one datagram. docs/security.md has
-its fields. Records of two further kinds have several frames, for ends that both know them.
+its fields. Records of further kinds have several frames, or a report of what arrived, for ends that
+both know them.
 AES-256-GCM (NIST SP 800-38D) encrypts. The header is its additional data. Its nonce is the
 direction's initialisation vector, combined with the sequence number as in RFC 8446 section 5.3.
 
@@ -38,7 +39,9 @@ HANDSHAKE = 0x12
 KNOCK = 0x13
 #: Records of several frames: whole, and without what is idle (telepresence.link.path.bundles).
 PACKED, COMPACT = 0x14, 0x15
-RECORDS = (RECORD, PACKED, COMPACT)
+#: A record with a report of what arrived (telepresence.link.path.following).
+REPORT = 0x16
+RECORDS = (RECORD, PACKED, COMPACT, REPORT)
 
 KEY_NUMBER_OCTETS = 3
 SEQUENCE_OCTETS = 6

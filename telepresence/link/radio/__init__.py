@@ -7,6 +7,7 @@ a `RadioPath` for the frames of one direction. docs/radio.md has the equations.
 from telepresence.link.radio.channel import Bursts as Bursts
 from telepresence.link.radio.channel import RandomBlackouts as RandomBlackouts
 from telepresence.link.radio.contact import Contact as Contact
+from telepresence.link.radio.network import Network as Network
 from telepresence.link.radio.path import RadioPath as RadioPath
 from telepresence.link.radio.profile import Blackout as Blackout
 from telepresence.link.radio.profile import Direction as Direction

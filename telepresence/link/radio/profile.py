@@ -19,6 +19,7 @@ from telepresence.link.radio.channel import (
     within,
 )
 from telepresence.link.radio.contact import Contact, ContactFading
+from telepresence.link.radio.network import Network
 from telepresence.link.radio.orbit import Overflight, parse_elements, parse_utc
 from telepresence.link.radio.path import RadioPath
 
@@ -48,6 +49,7 @@ class RadioProfile(SteadyRadio):
 
     name, description: for reports and lists.
     bursts, blackouts, random_blackouts, contact: additional effects, if any.
+    network: between the two machines of the ends, behind the radio; on virtual time only.
     """
 
     description: str = ""
@@ -55,6 +57,7 @@ class RadioProfile(SteadyRadio):
     blackouts: tuple[Blackout, ...] = ()
     random_blackouts: RandomBlackouts | None = None
     contact: Contact | None = None
+    network: Network | None = None
 
     def __post_init__(self) -> None:
         within("delay_ms", self.delay_ms, 0, 10_000)
@@ -111,6 +114,8 @@ class RadioProfile(SteadyRadio):
         longest = (self.delay_ms + self.delay_swing_ms) * NS_PER_MS
         if self.contact is not None:
             longest += ContactFading(self.contact, seed=0).longest_delay_ns()
+        if self.network is not None:
+            longest += self.network.longest_delay_ms * NS_PER_MS
         return round(longest)
 
     def overflight(self) -> Overflight | None:
@@ -177,7 +182,54 @@ _GEO = RadioProfile(
     bit_error_rate=1e-8,
     bursts=Bursts(gap_s=10.0, mean_ms=6.0, frame_loss=0.5, bit_error_rate=1e-4),
 )
-BUILT_IN = {profile.name: profile for profile in (_CABLE, _CLEAN, _ISS_PASS, _ISS_OVERHEAD, _GEO)}
+_LTE = RadioProfile(
+    name="lte",
+    description="a phone network while driving: 25 to 45 ms, 0.3 % lost in bursts, some overtaken",
+    network=Network(
+        delay_ms=25.0,
+        jitter_ms=15.0,
+        loss=0.003,
+        burst_ms=12.0,
+        rate_kbps=8000,
+        reordered=0.01,
+        reorder_ms=5.0,
+    ),
+)
+_WIFI = RadioProfile(
+    name="wifi",
+    description="a busy wireless network: 3 to 13 ms, 1 % lost in short bursts, some overtaken",
+    network=Network(
+        delay_ms=3.0,
+        jitter_ms=10.0,
+        loss=0.01,
+        burst_ms=3.0,
+        rate_kbps=20_000,
+        reordered=0.02,
+        reorder_ms=4.0,
+        repeated=0.001,
+    ),
+)
+_SATELLITE = RadioProfile(
+    name="satellite",
+    description="a low satellite network: 30 to 42 ms, 0.5 % lost in bursts of 20 ms",
+    network=Network(delay_ms=30.0, jitter_ms=12.0, loss=0.005, burst_ms=20.0, rate_kbps=10_000),
+)
+_BAD_DAY = RadioProfile(
+    name="bad-day",
+    description="a network at its limit: 60 to 90 ms, 3 % lost, and 400 kbit/s for 20 s of 60",
+    network=Network(
+        delay_ms=60.0,
+        jitter_ms=30.0,
+        loss=0.03,
+        burst_ms=5.0,
+        rate_kbps=6000,
+        rates=((20.0, 400.0), (40.0, 6000.0)),
+        reordered=0.02,
+        reorder_ms=8.0,
+    ),
+)
+_RADIOS = (_CABLE, _CLEAN, _ISS_PASS, _ISS_OVERHEAD, _GEO, _LTE, _WIFI, _SATELLITE, _BAD_DAY)
+BUILT_IN = {profile.name: profile for profile in _RADIOS}
 
 
 def built_in_radio(name: str) -> RadioProfile:

@@ -14,7 +14,7 @@ from telepresence.link.radio.profile import BUILT_IN, RadioProfile, built_in_rad
 from telepresence.toml_file import check_known, read_toml, typed
 
 #: Tables that `false` switches off.
-_TABLES = ("bursts", "random_blackouts", "contact")
+_TABLES = ("bursts", "random_blackouts", "contact", "network")
 
 
 def load_radio(name_or_file: str) -> RadioProfile:

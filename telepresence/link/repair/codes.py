@@ -8,26 +8,24 @@ c is 1 / (512 + ((c xor s) and 511)). That is a Cauchy matrix, so n zones restor
 c - d is covered, where n is c modulo 512. It needs one or two zones more than lost slots.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from hashlib import sha256
 from typing import Protocol
-
-import numpy as np
 
 from telepresence.link.profile import LinkProfile
 
 #: Slots before a repair zone that it covers.
 WINDOW = 100
 
-#: Bits of an element, elements of a symbol, and the bits that fill the last octet of a symbol.
-_BITS, _ELEMENTS, _FILL = 10, 10, 4
-_OCTETS = (_BITS * _ELEMENTS + _FILL) // 8
+#: Bits of an element, elements of a symbol, and the bits of a symbol.
+_BITS, _ELEMENTS = 10, 10
+_SYMBOL = _BITS * _ELEMENTS
 _ORDER = (1 << _BITS) - 1
 _POLYNOMIAL = 0x409
 _DISTANCES = 512
-#: Stands for the logarithm of 0; its powers are 0.
-_NONE = 2 * _ORDER
+#: The highest bit of each element of the longest number that `combine` takes.
+_HIGHEST = sum(1 << _BITS * element + _BITS - 1 for element in range(2 * _DISTANCES))
 
 _powers = [1]
 while len(_powers) < _ORDER:
@@ -37,13 +35,6 @@ _EXP = _powers * 2
 _LOG = [0] * (_ORDER + 1)
 for _power, _element in enumerate(_powers):
     _LOG[_element] = _power
-_EXP_ARRAY = np.zeros(2 * _NONE + 1, dtype=np.int16)
-_EXP_ARRAY[: 2 * _ORDER] = _EXP
-_LOG_ARRAY = np.array([_NONE, *_LOG[1:]], dtype=np.int16)
-#: By (c xor s) and 511.
-_COEFFICIENT_LOG = [(_ORDER - _LOG[_DISTANCES + d]) % _ORDER for d in range(_DISTANCES)]
-_COEFFICIENT_LOGS = np.array(_COEFFICIENT_LOG, dtype=np.int16)
-_WEIGHTS = (1 << np.arange(_BITS - 1, -1, -1)).astype(np.int16)
 
 
 def multiply(a: int, b: int) -> int:
@@ -56,69 +47,82 @@ def inverse(a: int) -> int:
     return _EXP[_ORDER - _LOG[a]]
 
 
+def combine(parts: Sequence[int]) -> int:
+    """The sum of parts[i] times x^i, for numbers that consist of elements."""
+    total = 0
+    for part in reversed(parts):
+        highest = total & _HIGHEST
+        total = (total ^ highest) << 1 ^ (highest >> _BITS - 1) * (_POLYNOMIAL & _ORDER) ^ part
+    return total
+
+
+#: A factor that puts a copy of a symbol at each bit of a coefficient.
+_COPIES = sum(1 << _SYMBOL * bit for bit in range(_BITS))
+#: By (c xor s) and 511: the coefficient, and which of the copies its bits select.
+_COEFFICIENTS = [inverse(_DISTANCES + distance) for distance in range(_DISTANCES)]
+_SELECTED = [
+    sum((1 << _SYMBOL) - 1 << _SYMBOL * bit for bit in range(_BITS) if coefficient >> bit & 1)
+    for coefficient in _COEFFICIENTS
+]
+
+
 class Code(Protocol):
-    """What encoder and decoder ask of a code. Slots are frame counts, not wrapped."""
+    """What encoder and decoder ask of a code. Slots are frame counts, not wrapped.
+
+    bits: of an element.
+    """
+
+    bits: int
 
     def coefficient(self, count: int, slot: int) -> int:
         """The coefficient of a slot in the repair zone of the slot `count`; 0: not covered."""
         ...
 
-    def sum(self, symbols: Iterable[tuple[int, int]], count: int) -> int:
-        """The repair symbol of the slot `count`, of slots before it and their symbols."""
+    def prepare(self, symbol: int) -> int:
+        """What `sum` takes for a symbol; 0 for 0."""
         ...
 
-    def scale(self, factor: int, symbol: int) -> int:
-        """Each element of the symbol times the factor, which is not 0."""
+    def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
+        """The repair symbol of the slot `count`, of slots before it and their symbols."""
         ...
 
 
 class CauchyCode:
     """See the module."""
 
+    bits = _BITS
+
     def coefficient(self, count: int, slot: int) -> int:
-        return _EXP[_COEFFICIENT_LOG[(count ^ slot) & _DISTANCES - 1]]
+        return _COEFFICIENTS[(count ^ slot) & _DISTANCES - 1]
 
-    def sum(self, symbols: Iterable[tuple[int, int]], count: int) -> int:
-        distances, rows = [], []
-        for slot, symbol in symbols:
-            if symbol:
-                distances.append((count ^ slot) & _DISTANCES - 1)
-                rows.append((symbol << _FILL).to_bytes(_OCTETS, "big"))
-        if not rows:
-            return 0
-        bits = np.unpackbits(np.frombuffer(b"".join(rows), dtype=np.uint8))
-        bits = bits.reshape(len(rows), 8 * _OCTETS)[:, :-_FILL]
-        logs = _LOG_ARRAY[bits.reshape(len(rows), _ELEMENTS, _BITS) @ _WEIGHTS]
-        logs += _COEFFICIENT_LOGS[distances][:, None]
-        total = 0
-        for element in np.bitwise_xor.reduce(_EXP_ARRAY[logs], axis=0).tolist():
-            total = total << _BITS | element
-        return total
+    def prepare(self, symbol: int) -> int:
+        return symbol * _COPIES
 
-    def scale(self, factor: int, symbol: int) -> int:
-        log, product = _LOG[factor], 0
-        for shift in range(0, _BITS * _ELEMENTS, _BITS):
-            element = symbol >> shift & _ORDER
-            if element:
-                product |= _EXP[log + _LOG[element]] << shift
-        return product
+    def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
+        selected, total = _SELECTED, 0
+        for slot, copies in prepared:
+            if copies:
+                total ^= copies & selected[(count ^ slot) & _DISTANCES - 1]
+        return combine([total >> _SYMBOL * bit & (1 << _SYMBOL) - 1 for bit in range(_BITS)])
 
 
 class BinaryCode:
     """See the module."""
 
+    bits = 1
+
     def coefficient(self, count: int, slot: int) -> int:
         return _mask(count % _DISTANCES) >> count - slot & 1
 
-    def sum(self, symbols: Iterable[tuple[int, int]], count: int) -> int:
+    def prepare(self, symbol: int) -> int:
+        return symbol
+
+    def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
         mask, total = _mask(count % _DISTANCES), 0
-        for slot, symbol in symbols:
-            if mask >> count - slot & 1:
+        for slot, symbol in prepared:
+            if symbol and mask >> count - slot & 1:
                 total ^= symbol
         return total
-
-    def scale(self, factor: int, symbol: int) -> int:
-        return symbol
 
 
 @lru_cache(maxsize=_DISTANCES)

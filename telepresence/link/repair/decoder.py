@@ -3,7 +3,7 @@
 from collections import deque
 
 from telepresence.link.profile import LinkProfile
-from telepresence.link.repair.codes import WINDOW, code_of, multiply
+from telepresence.link.repair.codes import WINDOW, code_of
 from telepresence.link.repair.symbols import ELEMENT_BITS, ELEMENTS, Content, Symbols
 from telepresence.link.repair.unknowns import Unknowns
 
@@ -17,22 +17,27 @@ class RepairDecoder:
     """Call `handle_zone` or `handle_lost` for every slot, in order; `restart` before a gap.
 
     lost: counts of the slots that may still be restored, oldest first. A slot is given up when it
-    is older than the window.
+    is older than the window. Without one, `note` with pointer and zone does for `handle_zone`.
     """
 
     def __init__(self, profile: LinkProfile) -> None:
         self._symbols = Symbols(profile)
-        self._code = code = code_of(profile)
+        self._code = code_of(profile)
         self.lost: dict[int, None] = {}
-        #: The latest slots: symbols, or pointer and zone while nobody needs them; None: lost.
-        self._slots: deque[tuple[int, int] | Content | None] = deque(maxlen=WINDOW)
-        self._first = Unknowns(code.scale)
+        #: First symbols, known of lost slots.
+        self._known: dict[int, int] = {}
+        #: First symbols, prepared, and second ones of the latest slots; of lost ones what is known.
+        self._firsts: deque[int] = deque(maxlen=WINDOW)
+        self._seconds: deque[int] = deque(maxlen=WINDOW)
+        #: The slots behind them, whose symbols nobody needed yet; None: lost.
+        self._contents: deque[Content | None] = deque(maxlen=WINDOW)
+        self.note = self._contents.append
+        self._first = Unknowns(self._code.bits)
         #: The second symbol is whole, or each element of it has equations of its own.
-        scale, parts = (multiply, ELEMENTS) if profile.pointer_in_vcid else (code.scale, 1)
-        self._second = [Unknowns(scale) for _ in range(parts)]
-        #: Of lost slots: what is known of them so far.
-        self._firsts: dict[int, int] = {}
-        self._seconds: dict[int, dict[int, int]] = {}
+        parts = ELEMENTS if profile.pointer_in_vcid else 1
+        self._second = [Unknowns(self._code.bits) for _ in range(parts)]
+        #: Those in use: second symbols are asked for only behind a repair zone that has one.
+        self._in_use = [self._first]
         self.restored = self.given_up = 0
 
     @property
@@ -42,19 +47,19 @@ class RepairDecoder:
 
     def restart(self) -> None:
         """Nothing is known of the slots before the next one."""
-        self._slots.clear()
-        for unknowns in (self._first, *self._second):
-            unknowns.clear()
-        self.given_up += len(self.lost)
-        for known in (self.lost, self._firsts, self._seconds):
+        for known in (self._firsts, self._seconds, self._contents):
             known.clear()
+        self.given_up += len(self.lost)
+        for slot in list(self.lost):
+            self._forget(slot)
+        self._first.clear()
 
     def handle_lost(self, count: int) -> None:
         """The frame of this slot did not come."""
         self._append(count, None)
-        for lost in (self.lost, self._first.lost, *(each.lost for each in self._second)):
-            lost[count] = None
-        self._seconds[count] = {}
+        self.lost[count] = None
+        for unknowns in self._in_use:
+            unknowns.lost[count] = None
 
     def handle_zone(self, count: int, pointer: int, zone: bytes) -> Restored:
         """The frame of this slot came.
@@ -62,97 +67,92 @@ class RepairDecoder:
         Return the slots that this restores, oldest first, as `Symbols.content` does.
         """
         restored: Restored = []
-        # An equation is of use only if its whole window is known or counted as lost.
-        if self.lost and len(self._slots) == WINDOW and self._symbols.is_repair(pointer, zone):
-            self._solve(count, pointer, zone)
-            restored = self._take_restored(count)
+        if self.lost and self._symbols.is_repair(pointer, zone):
+            self._convert()
+            # An equation is of use only if its whole window is known or counted as lost.
+            if len(self._firsts) == WINDOW:
+                self._solve(count, pointer, zone)
+                restored = self._take_restored(count - WINDOW)
         self._append(count, (pointer, zone))
         return restored
 
-    def _append(self, count: int, slot: Content | None) -> None:
-        self._slots.append(slot)
-        while self.lost and (oldest := next(iter(self.lost))) <= count - WINDOW:
+    def _append(self, count: int, content: Content | None) -> None:
+        self.note(content)
+        while (oldest := next(iter(self.lost), count)) <= count - WINDOW:
             self.given_up += 1
-            self._forget(oldest)
-            for unknowns in (self._first, *self._second):
+            for unknowns in self._in_use:
                 if oldest in unknowns.lost:
                     unknowns.give_up(oldest)
+            self._forget(oldest)
 
     def _forget(self, slot: int) -> None:
-        del self.lost[slot], self._seconds[slot]
-        self._firsts.pop(slot, None)
+        del self.lost[slot]
+        self._known.pop(slot, None)
+        if not self.lost:
+            for unknowns in self._in_use[1:]:
+                unknowns.clear()
+            del self._in_use[1:]
+
+    def _convert(self) -> None:
+        symbols, prepare = self._symbols.symbols, self._code.prepare
+        for content in self._contents:
+            first, second = symbols(*content) if content else (0, 0)
+            self._firsts.append(prepare(first))
+            self._seconds.append(second)
+        self._contents.clear()
 
     def _solve(self, count: int, pointer: int, zone: bytes) -> None:
         """Take the equations of the repair zone of the slot `count`, which comes next."""
-        code = self._code
+        code, oldest = self._code, count - WINDOW
         first, second, left_out = self._symbols.parse(pointer, zone, count)
-        first ^= code.sum(self._known(count)[0], count)
-        self._note_firsts(self._first.solve(self._unknown(self._first, count), first))
-        if second is None or not any(unknowns.lost for unknowns in self._second):
-            return
-        # First symbols may have told some second ones.
-        second ^= code.sum(self._known(count)[1], count)
-        if left_out is None:
-            whole = self._second[0]
-            self._note_seconds(0, whole.solve(self._unknown(whole, count), second))
-            return
-        for element, unknowns in enumerate(self._second):
-            if element != left_out:
-                value = second >> element * ELEMENT_BITS & _ELEMENT
-                self._note_seconds(element, unknowns.solve(self._unknown(unknowns, count), value))
-
-    def _note_firsts(self, solved: dict[int, int]) -> None:
-        for slot, symbol in solved.items():
-            self._firsts[slot] = symbol
+        first ^= code.sum(enumerate(self._firsts, oldest), count)
+        for slot, symbol in self._first.solve(self._unknown(self._first, count), first).items():
+            self._known[slot] = symbol
+            self._firsts[slot - oldest] = code.prepare(symbol)
             if not self._symbols.is_plain(symbol):
-                for part, unknowns in enumerate(self._second):
+                for part, unknowns in enumerate(self._in_use[1:]):
                     if slot in unknowns.lost:
-                        self._note_seconds(part, {slot: 0, **unknowns.know(slot)})
+                        self._note_seconds(part, unknowns.know(slot), oldest)
+        if second is None:
+            return
+        if len(self._in_use) == 1:
+            asked = [slot for slot in self.lost if self._may_be_plain(slot)]
+            for unknowns in self._second:
+                unknowns.lost = dict.fromkeys(asked)
+            self._in_use += self._second
+        # First symbols may have told some second ones.
+        second ^= code.sum(enumerate(map(code.prepare, self._seconds), oldest), count)
+        for part, unknowns in enumerate(self._second):
+            if part != left_out:
+                value = second if left_out is None else second >> part * ELEMENT_BITS & _ELEMENT
+                self._note_seconds(
+                    part, unknowns.solve(self._unknown(unknowns, count), value), oldest
+                )
 
-    def _note_seconds(self, part: int, solved: dict[int, int]) -> None:
+    def _may_be_plain(self, slot: int) -> bool:
+        return slot not in self._known or self._symbols.is_plain(self._known[slot])
+
+    def _note_seconds(self, part: int, solved: dict[int, int], oldest: int) -> None:
         for slot, value in solved.items():
-            self._seconds[slot][part] = value
+            self._seconds[slot - oldest] |= value << part * ELEMENT_BITS
 
     def _unknown(self, unknowns: Unknowns, count: int) -> dict[int, int]:
         coefficient = self._code.coefficient
         return {slot: factor for slot in unknowns.lost if (factor := coefficient(count, slot))}
 
-    def _known(self, count: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-        """First and second symbols of the window, but for those that are 0."""
-        slots, oldest = self._slots, count - len(self._slots)
-        firsts, seconds = [], []
-        for place, slot in enumerate(slots):
-            count = oldest + place
-            if slot is None:
-                first, second = self._firsts.get(count, 0), self._second_of(count)
-            elif isinstance(slot[1], int):
-                first, second = slot
-            else:
-                first, second = slots[place] = self._symbols.symbols(*slot)
-            if first:
-                firsts.append((count, first))
-            if second:
-                seconds.append((count, second))
-        return firsts, seconds
-
-    def _second_of(self, slot: int) -> int:
-        """What is known of the second symbol of a lost slot."""
-        parts = self._seconds.get(slot, {}).items()
-        return sum(value << part * ELEMENT_BITS for part, value in parts)
-
-    def _take_restored(self, count: int) -> Restored:
+    def _take_restored(self, oldest: int) -> Restored:
         restored: Restored = []
-        first_slot = count - len(self._slots)
         for slot in list(self.lost):
-            first = self._firsts.get(slot)
-            if first is None or len(self._seconds[slot]) < len(self._second):
+            # Without an equation for second symbols, only slots with a sample are restored.
+            if (len(self._in_use) == 1 and self._may_be_plain(slot)) or any(
+                slot in unknowns.lost for unknowns in self._in_use
+            ):
                 continue
-            second = self._second_of(slot)
-            self._slots[slot - first_slot] = first, second
-            self._forget(slot)
             try:
-                restored.append((slot, self._symbols.content(first, second)))
+                content = self._symbols.content(self._known[slot], self._seconds[slot - oldest])
+                restored.append((slot, content))
                 self.restored += 1
             except KeyError:
                 self.given_up += 1
+            self._forget(slot)
         return restored

@@ -2,7 +2,7 @@
 
 from telepresence.link.link_metrics import RepairSentMetrics
 from telepresence.link.receiver import LinkReceiver
-from telepresence.link.repair.reserve import NOTHING, PARTS, Growth, Kept, Loss, Reserve
+from telepresence.link.repair.reserve import NOTHING, PARTS, Growth, Idle, Kept, Loss, Reserve
 from telepresence.link.sender import LinkSender
 
 
@@ -11,7 +11,9 @@ class EndRepair:
 
     on: whether both ends have repair; `set` changes it.
     compact: idle octets cost nothing on the path, so idle zones carry repair only while losses are
-        reported; `set_compact` changes it.
+        reported; `set_compact` changes it. On other paths a few do without losses.
+    saving: the path is too slow for repair in idle zones, and for the lowest level; `set_saving`
+        changes it.
     """
 
     def __init__(self, sender: LinkSender, receiver: LinkReceiver) -> None:
@@ -20,7 +22,8 @@ class EndRepair:
         self._received, self._sent = Growth(), Growth()
         self._reported = Loss()
         self.on = True
-        self.compact = False
+        self.compact = self.saving = False
+        self._use(self._reserve)
 
     @property
     def leave_out(self) -> int:
@@ -45,6 +48,11 @@ class EndRepair:
             self.compact = compact
             self._use(self._reserve)
 
+    def set_saving(self, saving: bool) -> None:
+        """Whether the path to the other end is too slow."""
+        self.saving = self._sender.holds_maintenance = saving
+        self._use(self._reserve)
+
     def measure(self, now_ns: int) -> Loss:
         """Return what of the peer's frames is lost, for the peer."""
         repair = self._receiver.repair
@@ -67,7 +75,9 @@ class EndRepair:
     def _use(self, reserve: Reserve) -> None:
         self._reserve = reserve
         self._sender.reserve = self._kept
-        self._sender.repairs_idle = reserve.active or not self.compact
+        if self._sender.repair is not None:
+            wasted = self.saving or (self.compact and not reserve.active)
+            self._sender.repair.set_idle(Idle.NONE if wasted else reserve.idle)
 
     def report(self) -> RepairSentMetrics | None:
         """Return what this end sends for repair, and why; None where the setup has no repair."""
@@ -75,6 +85,8 @@ class EndRepair:
             return None
         if not self.on:
             mode, why = "off", "the other end does not know it"
+        elif self.saving:
+            mode, why = "waiting", "the path to the other end is too slow"
         elif self._reserve.active:
             mode = "reserve" if self._sender.profile.repair == "auto" else "idle"
             why = "the other end reports losses"

@@ -8,8 +8,8 @@ A lost zone delays only the packets that it touches:
 
 `settled` reads in order up to the oldest zone that may still be restored. `ahead` reads all that
 came, with lost zones as losses. When a zone is restored, everything behind `settled` is read again,
-so each header meets the contexts that its sender assumed. A packet is known by its place in the
-stream, so it comes out once.
+so each header meets the contexts that its sender assumed; some zones in each slot, to bound its
+work. A packet is known by its place in the stream, so it comes out once.
 """
 
 from telepresence.link.flows import FlowKind, Level
@@ -18,11 +18,13 @@ from telepresence.link.link_metrics import RepairMetrics
 from telepresence.link.profile import LinkProfile
 from telepresence.link.reassembly import PLACE_SHIFT, PacketReassembly
 from telepresence.link.repair.codes import WINDOW
-from telepresence.link.repair.decoder import RepairDecoder, Restored
+from telepresence.link.repair.decoder import RepairDecoder
 from telepresence.link.repair.symbols import Content, Symbols
 
 #: Voice that comes later than this is of no use, and late packets raise the playout delay.
 VOICE_LATE_NS = 10_000_000
+#: Zones read in one slot.
+_MOST_ZONES = 32
 #: A slot without packets.
 _NOTHING = ()
 
@@ -34,12 +36,17 @@ class RepairedPackets:
     """
 
     def __init__(self, profile: LinkProfile, settled: PacketReassembly) -> None:
-        self._symbols = Symbols(profile)
+        symbols = Symbols(profile)
+        self._is_repair, self._repair_pointers = symbols.is_repair, symbols.repair_pointers
         self._supervision = Pointers(profile).supervision
         self._decoder = RepairDecoder(profile)
+        self._note = self._decoder.note
         self._settled = settled
-        self._ahead: PacketReassembly | None = None
-        #: From the oldest zone that may be restored on: pointer and zone; None: lost.
+        self._ahead = settled
+        #: The next zone that it reads; -1: one before that was restored, so another has to read.
+        self._ahead_at = -1
+        #: Those that are not settled, from the oldest that may be restored on: pointer and zone;
+        #: None: lost.
         self._zones: dict[int, Content | tuple[()] | None] = {}
         #: When they came, or were missed.
         self._came_ns: dict[int, int] = {}
@@ -54,32 +61,36 @@ class RepairedPackets:
         #: Places of the packets that were handed on since a zone is lost.
         self._handed_on: set[int] = set()
         self._late = self._packets = self._torn = self._wait_max_ns = 0
+        #: Zones are read again, because one before them was restored.
         self._anew = False
         settled.hand_on = self._hand_on
 
     def handle_zone(self, pointer: int, zone: bytes, count: int, now_ns: int) -> None:
         """The frame of the slot came."""
-        restored = self._decoder.handle_zone(count, pointer, zone)
-        ahead = self._ahead
-        if self._symbols.is_repair(pointer, zone):
-            content: Content | tuple[()] = _NOTHING
-        elif ahead is None:
-            self._settled.handle_zone(pointer, zone, count, now_ns)
+        if not self._zones:
+            # This is all that repair costs in a slot of a link that loses nothing.
+            self._note((pointer, zone))
+            if pointer not in self._repair_pointers or not self._is_repair(pointer, zone):
+                self._settled.handle_zone(pointer, zone, count, now_ns)
             return
-        elif pointer == self._supervision:
+        restored = self._decoder.handle_zone(count, pointer, zone)
+        content: Content | tuple[()] = _NOTHING
+        if pointer == self._supervision:
             # It is read at once, and once.
             self._settled.handle_zone(pointer, zone, count, now_ns)
-            content = _NOTHING
-        else:
+        elif not self._is_repair(pointer, zone):
             content = pointer, zone
-        if ahead is None:
-            return
         self._zones[count], self._came_ns[count] = content, now_ns
-        if restored:
-            self._read_again(restored, now_ns)
-        elif content:
-            ahead.handle_zone(pointer, zone, count, now_ns)
-        self._settle(now_ns)
+        for slot, mended in restored:
+            self._zones[slot] = mended or _NOTHING
+            self._wait_max_ns = max(self._wait_max_ns, now_ns - self._came_ns[slot])
+            self._anew, self._ahead_at = True, -1
+        if self._ahead_at == count and next(iter(self._zones)) in self._decoder.lost:
+            # Nothing else is to be read.
+            _read(self._ahead, content, count, now_ns)
+            self._ahead_at += 1
+        else:
+            self._read_on(now_ns)
 
     def handle_lost(self, first: int, number: int, now_ns: int) -> None:
         """The frames of `number` slots from `first` on did not come."""
@@ -87,45 +98,47 @@ class RepairedPackets:
             self.give_up(now_ns)
             self._settled.drop_incomplete()
             return
-        if self._ahead is None:
-            self._ahead = self._settled.fork(self._hand_on_ahead)
-        self._ahead.drop_incomplete()
         for count in range(first, first + number):
             self._decoder.handle_lost(count)
             self._zones[count], self._came_ns[count] = None, now_ns
-        self._settle(now_ns)
+        self._read_on(now_ns)
 
     def give_up(self, now_ns: int) -> None:
         """The stream breaks off: restore nothing more, and read all that came."""
         self._decoder.restart()
-        self._settle(now_ns)
+        self._read_on(now_ns, len(self._zones))
         self._newest = [-1] * len(self._newest)
         self._sequences = [-1] * len(self._sequences)
 
-    def _read_again(self, restored: Restored, now_ns: int) -> None:
-        for count, content in restored:
-            self._zones[count] = content or _NOTHING
-            self._wait_max_ns = max(self._wait_max_ns, now_ns - self._came_ns[count])
-        self._anew = True
-        ahead = self._ahead = self._settled.fork(self._hand_on_ahead)
-        for count, zone in self._zones.items():
-            _read(ahead, zone, count, now_ns)
-        self._anew = False
-
-    def _settle(self, now_ns: int) -> None:
-        """Read on up to the oldest zone that may still be restored."""
-        zones, lost = self._zones, self._decoder.lost
-        while zones:
-            count, content = next(iter(zones.items()))
-            if content is None and count in lost:
-                return
-            before = self._settled.dropped.get("incomplete", 0)
-            _read(self._settled, content, count, now_ns)
+    def _read_on(self, now_ns: int, most: int = _MOST_ZONES) -> None:
+        """Read up to the oldest zone that may still be restored, then what came behind it."""
+        zones, lost, settled = self._zones, self._decoder.lost, self._settled
+        read: list[int] = []
+        for count, content in zones.items():
+            if count in lost or len(read) == most:
+                break
+            before = settled.dropped.get("incomplete", 0)
+            _read(settled, content, count, now_ns)
             if content is None:
-                self._torn += self._settled.dropped.get("incomplete", 0) - before
+                self._torn += settled.dropped.get("incomplete", 0) - before
+            read.append(count)
+        for count in read:
             del zones[count], self._came_ns[count]
-        self._ahead = None
-        self._handed_on.clear()
+        if not zones:
+            self._ahead_at, self._anew = -1, False
+            self._handed_on.clear()
+            return
+        oldest = next(iter(zones))
+        if self._ahead_at < oldest:
+            if oldest not in lost:
+                return
+            self._ahead, self._ahead_at = settled.fork(self._hand_on_ahead), oldest
+        behind = oldest + len(zones)
+        while self._ahead_at < behind and len(read) < most:
+            _read(self._ahead, zones[self._ahead_at], self._ahead_at, now_ns)
+            read.append(self._ahead_at)
+            self._ahead_at += 1
+        self._anew = self._anew and self._ahead_at < behind
 
     def _hand_on_ahead(self, place: int, number: int, packet: bytes, now_ns: int) -> None:
         last = self._sequences[number]
@@ -135,7 +148,7 @@ class RepairedPackets:
         self._hand_on(place, number, packet, now_ns)
 
     def _hand_on(self, place: int, number: int, packet: bytes, now_ns: int) -> None:
-        if self._ahead is not None:
+        if self._zones:
             if place in self._handed_on:
                 return
             self._handed_on.add(place)

@@ -53,6 +53,12 @@ class Symbols:
         self._marks = 1 << self._mark_bits
         self._first_code = _first_code(profile)
         self._zeros = bytes(size)
+        #: Pointers that repair zones have; only `is_repair` tells whether a zone with one is one.
+        first_code = self._first_code
+        self.repair_pointers = frozenset(range(first_code, first_code + self._marks))
+        if self._short:
+            self.repair_pointers = frozenset(range(first_code, pointers.supervision))
+            self.repair_pointers |= {pointers.idle}
         self._supervision = size + 3
         mark_of = {position: position + 1 for position in range(size)}
         mark_of |= {size: size + 1, pointers.no_start: size + 1, pointers.preempt: size + 2}
@@ -85,26 +91,25 @@ class Symbols:
                 return pointer == _PLAIN_REPAIR
             if pointer == self._pointers.idle:
                 return zone != self._zeros
-            return self._size < pointer < self._pointers.supervision
-        return self._first_code <= pointer < self._first_code + self._marks
+        return pointer in self.repair_pointers
 
     def symbols(self, pointer: int, zone: bytes) -> tuple[int, int]:
         """First and second symbol of a slot; an idle slot and a repair zone have 0.
 
         What no sender with repair sends counts as a supervision message.
         """
+        size, bits = self._size, self._mark_bits
+        if len(zone) == size:
+            if (mark := self._mark_of.get(pointer)) is not None:
+                return int.from_bytes(zone, "big") << bits | mark, 0
+        elif (mark := self._plain_of.get(pointer)) is not None:
+            number, second = (int.from_bytes(part, "big") for part in (zone[:size], zone[size:]))
+            if self._short:
+                return number << bits | self._supervision, second << bits | mark
+            return number << bits | mark, second
         if pointer == self._pointers.idle or self.is_repair(pointer, zone):
             return 0, 0
-        size, bits = self._size, self._mark_bits
-        mark = (self._mark_of if len(zone) == size else self._plain_of).get(pointer)
-        if mark is None:
-            return (_SUPERVISION if self._short else 0) << bits | self._supervision, 0
-        number, second = int.from_bytes(zone[:size], "big") << bits, 0
-        if len(zone) != size:
-            second = int.from_bytes(zone[size:], "big")
-            if self._short:
-                return number | self._supervision, second << bits | mark
-        return number | mark, second
+        return (_SUPERVISION if self._short else 0) << bits | self._supervision, 0
 
     def is_plain(self, first: int) -> bool:
         """Whether a first symbol is of packets in a frame without a sample."""

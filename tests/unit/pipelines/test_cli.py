@@ -90,7 +90,7 @@ REFUSALS = {
         "TASKBOARD --snapshots shots --files-rate x": "--files-rate",
         "TASKBOARD --base-port 80": "1024",
         "TASKBOARD --radio nosuch": (
-            "take cable, clean, iss-pass, iss-overhead, geo, or a file NAME.toml"
+            "iss-overhead, geo, lte, wifi, satellite, bad-day, or a file NAME.toml"
         ),
         "TASKBOARD --radio-delay-ms -1": "take 0 to 10000",
         "TASKBOARD --radio geo --radio-delay-ms 3": "give one of them",
@@ -154,9 +154,10 @@ REFUSALS = {
         "TASKBOARD --peer 192.0.2.7:27001": "add --end ground or --end space",
         "TASKBOARD --insecure": "--insecure is for one end alone",
         "TASKBOARD --key k": "--key is for one end alone",
+        "TASKBOARD --radio lte": "radio lte has a network, for `simulate` and `sweep`",
         "TASKBOARD --path-batch-ms 2": "--path-batch-ms is for one end alone",
         "TASKBOARD --path compact": "--path is for one end alone",
-        "GROUND --listen 127.0.0.1:9 --path-batch-ms 3": "--path-batch-ms 3: take 1, 2 or 4",
+        "GROUND --listen 127.0.0.1:9 --path-batch-ms 3": "path_batch_ms 3: take 1, 2 or 4",
         "TASKBOARD --apps-bind 127.0.0.1": "--apps HOST",
         "TASKBOARD --apps no_host": "no_host",
         "TASKBOARD --apps 192.0.2.7": "--apps-bind",

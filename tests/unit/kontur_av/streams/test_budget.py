@@ -124,10 +124,20 @@ def test_another_cap_counts_from_now_on():
     # Packets stay small, 1500 octets of payload; two of them take 75 ms of the new channel.
     assert pacer.max_payload_octets == 1500
     put(pacer, 1500, 1500)
-    assert [at_ns for at_ns, _ in release(pacer)] == [0, 37_500_000]
-    pacer.follow(cap_bps=80_000, channel_bps=80_000)
-    for cap_bps, channel_bps in ((79_999, 80_000), (80_001, 80_000)):
-        with pytest.raises(ValueError, match="at least 80000"):
+    left = release(pacer)
+    assert [at_ns for at_ns, _ in left] == [0, 37_500_000]
+    # A lower cap holds from now on, over what has left under the higher one, too.
+    pacer.follow(cap_bps=40_000, channel_bps=80_000)
+    assert (pacer.max_payload_octets, pacer.picture_octets) == (750, 500)
+    put(pacer, *[500] * 20, at_ns=38 * MS)
+    slower = release(pacer, 38 * MS)
+    assert slower[0][0] == 37_500_000 + 110 * MS
+    left = [(at_ns, len(packet)) for at_ns, packet in left + slower]
+    assert largest(left, 1000 * MS) <= 5000 and largest(left[2:], 100 * MS) <= 750
+    with pytest.raises(ValueError, match="at most 750"):
+        put(pacer, 751)
+    for cap_bps, channel_bps in ((999, 80_000), (80_001, 80_000)):
+        with pytest.raises(ValueError, match="at least 1000"):
             pacer.follow(cap_bps=cap_bps, channel_bps=channel_bps)
 
 

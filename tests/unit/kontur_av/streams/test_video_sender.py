@@ -51,14 +51,20 @@ def test_octets_waiting_in_the_channel_delay_the_next_picture():
     assert (sender.counts.frames_captured, sender.counts.frames_refused) == (1, 1)
 
 
-def test_a_raised_cap_reaches_the_encoder_once_and_a_lower_one_is_refused():
+def test_another_cap_reaches_the_encoder_once_and_holds_from_then_on():
     stream = PictureStream().run([0])
     stream.sender.follow(cap_bps=1_100_000, channel_bps=2_000_000)
     stream.run([1, 2])
     assert [coding.cap_bps for coding in stream.codings] == [None, 1_100_000, None]
     assert (stream.sender.cap_bps, stream.sender.channel_bps) == (1_100_000, 2_000_000)
-    with pytest.raises(ValueError, match="at least 1000000"):
-        stream.sender.follow(cap_bps=999_999, channel_bps=2_000_000)
+    # Below the first one packets are smaller, too: they fit 100 ms of it.
+    stream.sender.follow(cap_bps=30_000, channel_bps=60_000)
+    stream.step(30, octets=1500)
+    assert stream.codings[-1].cap_bps == 30_000
+    sent = [len(packet) for packet in iter(lambda: stream.sender.poll_transmit(10**10), None)]
+    assert 200 < max(sent) <= 562 + 12
+    with pytest.raises(ValueError, match="at least 1000"):
+        stream.sender.follow(cap_bps=999, channel_bps=2_000_000)
 
 
 def test_a_picture_has_stamps_of_arrival_and_coding():

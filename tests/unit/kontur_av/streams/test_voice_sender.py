@@ -36,3 +36,16 @@ def test_a_block_leaves_at_once_and_is_counted():
     counts = sender.counts
     assert (counts.frames_encoded, counts.frames_sent, counts.rtp_packets_sent) == (1, 1, 1)
     assert sender.released.events == 1
+
+
+def test_a_receiver_that_is_there_only_now_gets_a_report_at_once():
+    sender = make_voice_sender()
+    sender.handle_contacts(0, 0)
+    sender.handle_packet(PACKET, CaptureStamp(0, 0, "mic"), 0)
+    assert sender.poll_transmit(0) is not None and sender.poll_report(0) is not None
+    now_ns = 200 * NS_PER_MS
+    assert sender.poll_report(now_ns) is None
+    sender.handle_contacts(1, now_ns)
+    assert sender.poll_report(now_ns) is not None
+    sender.handle_contacts(1, now_ns)
+    assert sender.poll_report(now_ns) is None

@@ -23,6 +23,7 @@ from telepresence.link.gateway import (
     Gateway,
 )
 from telepresence.link.header_compression import FIRST_WHOLE
+from telepresence.link.path.following import ALL, PARTS, Allowed
 from telepresence.link.profile import DOWNLINK, UPLINK
 from telepresence.link.radio import RadioPath
 
@@ -514,6 +515,28 @@ def test_without_a_change_the_state_is_repeated_for_a_process_that_was_started_s
     assert len(again) >= 2
     assert all(message == last for _, message in again)
     assert all(b[0] - a[0] == REPEAT_NS for a, b in pairwise(again))
+
+
+def test_a_path_that_carries_less_holds_repair_and_files_and_tells_the_senders_of_video():
+    link = VirtualLink(
+        uplink_flows=[packet_flow("file", Level.MAINTENANCE), packet_flow("command", Level.TMTC)],
+        downlink_flows=[packet_flow("state", Level.TMTC)],
+    )
+    ground, got = link.ground, []
+    reporter = BacklogReporter(ground)
+    assert reporter.poll_transmit(link.now_ns).cap_parts == PARTS
+    ground.handle_path(Allowed("no video", idle=False, cap_parts=0, leave_out=2))
+    for flow in ("file", "command"):
+        ground.handle_datagram(flow, bytes(20), link.now_ns)
+    for _ in range(100):
+        got += [event.flow.name for _, event in link.step() if hasattr(event, "flow")]
+    report = reporter.poll_transmit(link.now_ns)
+    assert (report.cap_parts, report.leave_out, report.maintenance_octets) == (0, 2, 20)
+    assert got == ["command"] and ground.repair.saving
+    ground.handle_path(ALL)
+    for _ in range(100):
+        got += [event.flow.name for _, event in link.step() if hasattr(event, "flow")]
+    assert got == ["command", "file"] and not ground.repair.saving
 
 
 def test_a_picture_that_a_telecommand_interrupts_counts_until_it_has_left():

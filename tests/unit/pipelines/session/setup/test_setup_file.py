@@ -17,6 +17,8 @@ radio = "cable"
 radio_delay_ms = 12.5
 deadband = "latency"
 repair = "idle"
+path = "compact"
+path_batch_ms = 2
 hand = "mediated"
 axes = 2
 gripper = false
@@ -33,6 +35,7 @@ fps = 25
 prefer = "latency"
 stale_after_ms = 250.5
 least_fps = 18
+least_cap_kbps = 20.5
 coded = "160x120"
 codec = "h265"
 
@@ -86,6 +89,7 @@ STREAMS = {
         "coded": (160, 120),
         "codec": "h265",
         "least_fps": 18,
+        "least_cap_bps": 20_500,
     },
     "uplink_voice": {"cap_bps": 6_400, "stale_after_ms": 90},
     "downlink_video": {"cap_bps": 300_000, "width": 800, "height": 600, "fps": 15}
@@ -95,6 +99,7 @@ STREAMS = {
         "coded": None,
         "codec": "h264",
         "least_fps": 20,
+        "least_cap_bps": None,
     },
     "downlink_voice": {"cap_bps": 24_000, "stale_after_ms": None},
 }
@@ -152,6 +157,7 @@ STATIC = '"static"'
         (TOML + 'size = "641x480"', "641"),
         (TOML + "fps = 0", "take 1 to 120"),
         (TOML + "coded = '800x600'", "coded as 800x600: take no larger size"),
+        (TOML + "least_cap_kbps = 5", "uplink_video: least cap of 5 kbit/s; take 10 to the cap"),
         (TOML + "stale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),
         (f'radio = "geo"\n{TOML}stale_after_ms = 200', "stale after 200 ms, but the radio takes"),
         (TOML + 'codec = "av1"', "uplink_video: codec 'av1': take one of h264, h265"),

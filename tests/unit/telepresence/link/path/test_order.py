@@ -49,6 +49,12 @@ def test_frames_are_put_back_once_reordering_was_seen_and_no_more_when_it_ended(
     arrivals = [late(n, 0) for n in range(begun, begun + 100) if n != begun + 50]
     assert run(arrivals, order)[1] == arrivals
 
+    # Of a gap that is longer than what is remembered a record comes after all.
+    begun += 100
+    order, _ = run([late(begun + n, 4 if n % 10 == 5 else 0) for n in range(100)], order)
+    after = [((begun + 1500) * MS, begun + 1500), ((begun + 1501) * MS, begun + 600)]
+    assert [number - begun for _, number in run(after, order)[1]] == [600, 1500]
+
 
 def test_new_keys_begin_anew_and_older_ones_after_a_silence():
     order, _ = run([late(n, 0) for n in range(90, 100)], keys=2)

@@ -94,7 +94,10 @@ def test_what_has_events_at_certain_times():
 
 
 def test_the_built_in_ones():
-    assert list(BUILT_IN) == ["cable", "clean", "iss-pass", "iss-overhead", "geo"]
+    networks = [name for name, profile in BUILT_IN.items() if profile.network]
+    assert list(BUILT_IN) == ["cable", "clean", "iss-pass", "iss-overhead", "geo", *networks]
+    assert networks == ["lte", "wifi", "satellite", "bad-day"]
+    assert load_radio("wifi").longest_delay_ns == 17_000_000
     cable = load_radio("cable")
     assert cable.longest_delay_ns == 0
     assert cable.contact_windows() is cable.overflight() is None

@@ -17,8 +17,9 @@ def test_the_field_of_the_short_code():
     assert all(multiply(a, inverse(a)) == 1 for a in range(1, 1024))
     # 1 / 512 and 1 / 513.
     assert [CauchyCode().coefficient(9, slot) for slot in (9, 8)] == [inverse(512), inverse(513)]
-    assert CauchyCode().sum([(8, 1), (7, 1 << 99)], 9) == (
-        multiply(512, CauchyCode().coefficient(9, 7)) << 90 | CauchyCode().coefficient(9, 8)
+    code = CauchyCode()
+    assert code.sum([(8, code.prepare(1)), (7, code.prepare(1 << 99))], 9) == (
+        multiply(512, code.coefficient(9, 7)) << 90 | code.coefficient(9, 8)
     )
 
 
