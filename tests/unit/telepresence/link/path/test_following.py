@@ -177,7 +177,7 @@ def test_a_report_by_hand_and_malformed_ones_are_counted():
     for turn in range(repeats(300)):
         parsed = PathReport.parse(mutate(random, report))
         if parsed is not None:
-            follower.handle_report(parsed, turn * 1000, turn * 100 * MS, compact=True)
+            follower.handle_report(parsed, turn * 1000, turn * 100 * MS, compact=turn % 7 > 0)
     session = Session(conditions()).run(1)
     sealed = session.space._seal(REPORT, report[1:], session.now_ns)
     assert session.ground.handle_datagram(*sealed, session.now_ns) is None
