@@ -1,5 +1,7 @@
 """Real footage and real speech, read as files; a test that lacks them is skipped with a line."""
 
+import asyncio
+import inspect
 import os
 import signal
 from collections.abc import Callable
@@ -33,6 +35,16 @@ os.environ.pop("STATE_DIRECTORY", None)
 def no_stop_of_the_user(tmp_path_factory) -> None:
     """No session of a test begins with a stop that the user's robot has, nor leaves one behind."""
     os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem) -> bool | None:
+    """A test may be a coroutine."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    names = pyfuncitem._fixtureinfo.argnames
+    asyncio.run(pyfuncitem.obj(**{name: pyfuncitem.funcargs[name] for name in names}))
+    return True
 
 
 SPEECH = Path("/usr/share/sounds/alsa")

@@ -145,13 +145,7 @@ class Interrupter:
         if name in HAPTIC:
             self.note(f"{name} was killed")
         before_ns = self.clock.now_ns()
-        killed = self.pids[name]
-        os.kill(killed, signal.SIGKILL)
-        others = {pid for other, pid in self.pids.items() if other != name}
-        (self.pids[name],) = eventually(
-            lambda: [pid for pid in self.session.children() if pid not in (*others, killed)],
-            f"the restart of {name}",
-        )
+        self.session.kill(self.pids, name)
         if name == "robot":
             self.log.absences.append((before_ns, self.clock.now_ns() + NS_PER_S))
         return f"killed {name}"

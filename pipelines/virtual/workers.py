@@ -115,6 +115,8 @@ class Telling:
             probe.handle_told(now_ns, told=True)
 
 
+#: So many results wait in a worker's pipe at most.
+_MOST_OPEN = 64
 #: Does one job after the other. It is made in the worker process.
 Coder = Callable[[Any], Any]
 
@@ -166,6 +168,9 @@ class Worker:
         self._theirs.close()
 
     def submit(self, job: Any) -> Job:
+        # The pipe has no room for the results of many jobs that nobody asks for.
+        while len(self._open) >= _MOST_OPEN:
+            self.receive()
         waiting = Job(self)
         self._open.append(waiting)
         with suppress(ConnectionError):  # of a dead process: `receive` says so

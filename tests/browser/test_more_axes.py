@@ -24,9 +24,8 @@ SLIDERS = "document.querySelectorAll('axis-sliders input')"
 
 @pytest.fixture
 def session(tmp_path):
-    (tmp_path / "arm.toml").write_text(SETUP)
     options = ("--page", "24100", "--joystick", "page", "--record", "run.mcap")
-    with RunningSession(str(tmp_path / "arm.toml"), *options, directory=tmp_path) as running:
+    with RunningSession(SETUP, *options, directory=tmp_path) as running:
         yield running
 
 

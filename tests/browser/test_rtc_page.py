@@ -129,8 +129,6 @@ def hears(page, programme, hz):
 def test_a_partner_in_a_session_sees_and_hears_both_sides_and_is_shown_at_the_ground(
     start_browser, tmp_path, monkeypatch
 ):
-    setup = tmp_path / "one.toml"
-    setup.write_text(ONE_CAMERA)
     write_pictures(tmp_path / "theirs.y4m", 150, first=2001)
     for name, hz in (("theirs", THEIRS_HZ), ("ground", OURS_HZ), ("space", SPACE_HZ)):
         write_tone(tmp_path / f"{name}.wav", hz)
@@ -138,14 +136,10 @@ def test_a_partner_in_a_session_sees_and_hears_both_sides_and_is_shown_at_the_gr
         NumberedPictures(tmp_path / "robot") as robot,
         NumberedPictures(tmp_path / "crew", before=1000) as crew,
         RunningSession(
-            str(setup),
+            ONE_CAMERA,
             *("--rtc", "18940", "--page", "24200"),
-            *(
-                "--source",
-                f"static=pipe:{robot.path}",
-                "--source",
-                f"operator_camera=pipe:{crew.path}",
-            ),
+            *("--source", f"static=pipe:{robot.path}"),
+            *("--source", f"operator_camera=pipe:{crew.path}"),
             *("--source", f"ground_mic={tmp_path}/ground.wav"),
             *("--source", f"operator_mic={tmp_path}/space.wav"),
             directory=tmp_path,

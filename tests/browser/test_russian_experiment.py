@@ -56,15 +56,14 @@ def felt_contact(bus):
 
 
 def test_the_cosmonaut_drives_the_partners_robot_then_ours(start_browser, tmp_path, monkeypatch):
-    setup, token, port = tmp_path / "lab.toml", tmp_path / "token", free_port()
-    setup.write_text(LAB)
+    token, port = tmp_path / "token", free_port()
     token.write_text("word-of-the-partner")
     shutil.copy(SAMPLE, tmp_path)
     (tmp_path / "partner_robot.py").write_text(ROBOT)
     way = ("--rtc", str(port), "--rtc-hand-token-file", str(token))
     options = (*way, "--page", str(free_port()))
     browser = start_browser()
-    with RunningSession(str(setup), *options, directory=tmp_path) as session:
+    with RunningSession(LAB, *options, directory=tmp_path) as session:
         session.pids()
         page = browser.open(session.pages()["k2cp"])
         supervisor = browser.open(session.pages()["k2sv"])

@@ -110,13 +110,11 @@ class Seat:
 @pytest.fixture
 def sit(tmp_path, start_browser, monkeypatch):
     """sit(*options): the operator at the page of a new session."""
-    path = tmp_path / "board.toml"
-    path.write_text(SETUP)
     with ExitStack() as stack:
 
         def start(*options):
             words = ("--page", "24180", "--joystick", "page", *options)
-            session = stack.enter_context(RunningSession(str(path), *words, directory=tmp_path))
+            session = stack.enter_context(RunningSession(SETUP, *words, directory=tmp_path))
             bus = stack.enter_context(session.bus(monkeypatch))
             page = start_browser(size=(1280, 900)).open(session.pages()["space"])
             return Seat(session, bus, page)

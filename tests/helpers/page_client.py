@@ -111,15 +111,12 @@ class Visitor:
             yield page
 
 
-def visit(url, deeds, *, tls=True):
-    """Run `deeds(visitor)`, a coroutine. tls: of HTTPS; an aiohttp.Fingerprint for a known one."""
-
-    async def run():
-        connector = aiohttp.TCPConnector(ssl=tls)
-        async with aiohttp.ClientSession(connector=connector) as client:
-            return await asyncio.wait_for(deeds(Visitor(client, url)), 2 * TIMEOUT_S)
-
-    return asyncio.run(run())
+@asynccontextmanager
+async def visiting(url, *, tls=True):
+    """A visitor of an address. tls: of HTTPS; an aiohttp.Fingerprint for a known one."""
+    connector = aiohttp.TCPConnector(ssl=tls)
+    async with aiohttp.ClientSession(connector=connector) as client, asyncio.timeout(2 * TIMEOUT_S):
+        yield Visitor(client, url)
 
 
 def decoded(units):

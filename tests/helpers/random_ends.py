@@ -44,6 +44,8 @@ SOCKET_DEPTH = 277
 class Ends:
     """One session. `run` returns what the robot did that nobody ordered, in words."""
 
+    gap_ms = GAP_MS
+
     def __init__(self, seed):
         self.random = Random(seed)
         self.now_ms = 0
@@ -171,7 +173,7 @@ class Ends:
                     self.presses.popleft()
                     self.press_came_ms = now_ms
             if self.ground.link.counts.received != heard:
-                if now_ms - self.heard_ms > GAP_MS:
+                if now_ms - self.heard_ms > self.gap_ms:
                     self.note("commands were missing")
                 self.heard_ms = now_ms
             self.ground.handle_cycle(now_ns, MS)
@@ -265,6 +267,9 @@ class NetworkWay:
 
 class NetworkEnds(Ends):
     """The same over a network whose delay, losses, rate and order change at random."""
+
+    #: Gaps are of any length here, and the newest command counts until it is too old.
+    gap_ms = GAP_MS + round(LIMITS.command_max_age_s * 1000)
 
     def __init__(self, seed):
         super().__init__(seed)

@@ -3,12 +3,12 @@
 import contextlib
 import json
 import os
-import signal
 import socket
 import subprocess
 from dataclasses import replace
 from pathlib import Path
 
+from programs import running
 from running_session import COMMAND, RunningSession, eventually, free_base_port
 
 from pipelines.session.command_process import end_with_parent
@@ -48,29 +48,17 @@ class RunningLink(RunningSession):
         self.topology = topology_of(replace(BUILT_IN["spacejustin"], base_port=self.base_port))
         self.report_path = Path(directory) / f"{name}.json"
         self._out_path = Path(directory) / f"{name}.txt"
-        self._out = self._out_path.open("w+")
-        command = [*prefix, *COMMAND, "link", "--report", str(self.report_path)]
-        command += ["--base-port", str(self.base_port), *map(str, options)]
-        self.process = subprocess.Popen(
-            command,
-            stdout=self._out,
-            stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL,
-            env={**os.environ, "TMPDIR": str(directory)},
-            start_new_session=True,
-            preexec_fn=end_with_parent,
-        )
+        command = [*prefix, *COMMAND, "link", "--report", self.report_path]
+        command += ["--base-port", self.base_port, *options]
+        how = {"stdin": subprocess.DEVNULL, "env": {**os.environ, "TMPDIR": str(directory)}}
+        how |= {"start_new_session": True, "preexec_fn": end_with_parent}
+        self._running = contextlib.ExitStack()
+        run = running(self._out_path, *command, patience_s=TIMEOUT_S, **how)
+        self.process = self._running.enter_context(run)
         self.seen_pids = set()
 
     def __exit__(self, *_):
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(TIMEOUT_S)
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
-        self._out.close()
+        self._running.close()
 
     def output(self):
         return self._out_path.read_text()

@@ -85,8 +85,8 @@ def _name_of(pid):
 class RunningSession:
     """`kontur-av stream` with options. Its exit ends the session in any case.
 
-    It runs in `directory`. It has its own directory for temporary files, so that no other session
-    is found there.
+    setup: a name, or the text of a file. It runs in `directory`. It has its own directory for
+    temporary files, so that no other session is found there.
     Without `--page` among its options it serves no pages.
     """
 
@@ -95,6 +95,9 @@ class RunningSession:
 
     def __init__(self, setup, *options, directory, prefix=()):
         self.prefix = prefix
+        if "\n" in setup:
+            (file := Path(directory) / "setup.toml").write_text(setup)
+            setup = str(file)
         pages = "--page" in options
         changes = {"rtc": RtcLeg()} if "--rtc" in options else {}
         self.setup = load_setup(setup, changes=changes)
@@ -221,6 +224,17 @@ class RunningSession:
             lambda: len(list(self.directory.glob(f"{prefix}*.png"))) > more_than,
             f"a snapshot of {prefix}",
         )
+
+    def kill(self, pids, name):
+        """Kill a process without warning; `pids` has the pid of its next start afterwards."""
+        os.kill(pids[name], signal.SIGKILL)
+        before = {*pids.values()}
+
+        def newcomer():
+            assert self.process.poll() is None, self.errors()
+            return {*self.children()} - before
+
+        (pids[name],) = eventually(newcomer, f"the restart of {name}")
 
     def select(self, camera):
         return self.ask("select", camera)

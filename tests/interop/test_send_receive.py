@@ -66,56 +66,50 @@ def tone(tmp_path_factory):
     return path
 
 
-def send_film(film, port, sdp, codec):
-    return ours(
-        *("send", "--video", film, "--to", f"127.0.0.1:{port}", "--cap-kbps", 400, "--sdp", sdp),
-        *("--size", f"{WIDTH}x{HEIGHT}", "--fps", FPS, "--seconds", 60, "--codec", codec),
-    )
+def play(tmp_path, sent, player):
+    """Send, and let a program of others play it until it ends by itself; return what it wrote."""
+    sdp, raw = tmp_path / "x.sdp", tmp_path / "x.raw"
+    to = f"127.0.0.1:{free_pair()}"
+    with ours("send", *sent, "--to", to, "--seconds", 60, "--sdp", sdp):
+        wait_for_file(sdp)
+        with started(*player.format(sdp=sdp, raw=raw).split()) as process:
+            finish(process)
+    return raw
+
+
+def film_words(film, codec):
+    size = ("--size", f"{WIDTH}x{HEIGHT}", "--fps", FPS)
+    return ("--video", film, "--cap-kbps", 400, *size, "--codec", codec)
+
+
+GST = "gst-launch-1.0 -q filesrc location={sdp} ! sdpdemux latency=50 ! "
 
 
 def test_gstreamer_shows_the_h264_that_we_send(film, tmp_path):
     needs_elements("sdpdemux", "rtph264depay", "h264parse", "avdec_h264")
-    port, sdp, raw = free_pair(), tmp_path / "x.sdp", tmp_path / "x.yuv"
-    with send_film(film, port, sdp, "h264"):
-        wait_for_file(sdp)
-        pipeline = (
-            f"filesrc location={sdp} ! sdpdemux latency=50 ! rtph264depay ! h264parse ! "
-            f"avdec_h264 ! videoconvert ! video/x-raw,format=I420 ! identity eos-after=150 ! "
-            f"filesink location={raw}"
-        )
-        with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
-            finish(player)
-    assert_is_the_film(raw)
+    player = GST + (
+        "rtph264depay ! h264parse ! avdec_h264 ! videoconvert ! video/x-raw,format=I420 ! "
+        "identity eos-after=150 ! filesink location={raw}"
+    )
+    assert_is_the_film(play(tmp_path, film_words(film, "h264"), player))
 
 
 def test_ffmpeg_shows_the_h265_that_we_send(film, tmp_path):
     needs("ffmpeg")
-    port, sdp, raw = free_pair(), tmp_path / "x.sdp", tmp_path / "x.yuv"
-    with send_film(film, port, sdp, "h265"):
-        wait_for_file(sdp)
-        with started(
-            *("ffmpeg", "-v", "error", "-protocol_whitelist", "file,udp,rtp", "-i", sdp),
-            *("-frames:v", 150, "-f", "rawvideo", "-pix_fmt", "yuv420p", raw),
-        ) as player:
-            finish(player)
-    assert_is_the_film(raw)
+    player = (
+        "ffmpeg -v error -protocol_whitelist file,udp,rtp -i {sdp} -frames:v 150 "
+        "-f rawvideo -pix_fmt yuv420p {raw}"
+    )
+    assert_is_the_film(play(tmp_path, film_words(film, "h265"), player))
 
 
 def test_gstreamer_plays_the_voice_we_send(tone, tmp_path):
     needs_elements("sdpdemux", "rtpopusdepay", "opusdec")
-    port, sdp, raw = free_pair(), tmp_path / "a.sdp", tmp_path / "a.raw"
-    with ours(
-        *("send", "--audio", tone, "--to", f"127.0.0.1:{port}", "--cap-kbps", 64),
-        *("--seconds", 60, "--sdp", sdp),
-    ):
-        wait_for_file(sdp)
-        pipeline = (
-            f"filesrc location={sdp} ! sdpdemux latency=50 ! rtpopusdepay ! opusdec ! "
-            "audioconvert ! audio/x-raw,format=S16LE,rate=48000,channels=1 ! "
-            f"identity eos-after=60 ! filesink location={raw}"
-        )
-        with started("gst-launch-1.0", "-q", *pipeline.split()) as player:
-            finish(player)
+    player = GST + (
+        "rtpopusdepay ! opusdec ! audioconvert ! audio/x-raw,format=S16LE,rate=48000,channels=1 ! "
+        "identity eos-after=60 ! filesink location={raw}"
+    )
+    raw = play(tmp_path, ("--audio", tone, "--cap-kbps", 64), player)
     sound = np.fromfile(raw, "<i2")[-48_000:].astype(float)
     loudest = np.argmax(np.abs(np.fft.rfft(sound * np.hanning(sound.size))))
     assert loudest * 48_000 / sound.size == pytest.approx(440, abs=3)

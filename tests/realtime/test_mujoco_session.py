@@ -35,9 +35,7 @@ def physics_of(session):
 
 def test_an_arm_is_driven_seen_and_outlives_its_physics(start, tmp_path, monkeypatch):
     shutil.copytree(SAMPLES / "mujoco_robot", tmp_path / "mujoco_robot")
-    lab = tmp_path / "lab.toml"
-    lab.write_text(LAB)
-    session = start(str(lab), "--robot", "mujoco_robot:SpaceJustin", "--record", "run.mcap")
+    session = start(LAB, "--robot", "mujoco_robot:SpaceJustin", "--record", "run.mcap")
     session.wait_for_flow()
     with session.bus(monkeypatch) as bus:
         reader = bus.reader(ROBOT_TOPIC)

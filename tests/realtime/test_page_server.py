@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from common import psnr_db
 from mcap.reader import make_reader
-from page_client import Visitor, decoded, hand, unit_of, visit
+from page_client import Visitor, decoded, hand, unit_of, visiting
 from running_session import RunningSession, eventually
 
 SETUP = "spacejustin"
@@ -41,26 +41,12 @@ def stream_of(page, via):
 # First the one with a session of its own: from the next one on, the module's session runs.
 
 
-def test_over_tls_pages_get_streams_of_hevc_as_h264(tmp_path):
-    path = tmp_path / "hevc.toml"
-    path.write_text(
+async def test_over_tls_pages_get_streams_of_hevc_as_h264(tmp_path):
+    setup = (
         'cameras = ["static"]\n[uplink_video]\ncap_kbps = 85\nsize = "320x240"\ncodec = "h265"\n'
         '[downlink_video]\ncap_kbps = 200\nsize = "320x240"\ncodec = "h265"\n'
     )
-
-    async def deeds(visitor):
-        async with visitor.page() as page:
-            ways = {each["via"] for each in page.hello["streams"]}
-            begun = {stream_of(page, via): [] for via in ways}
-            while any(sum(not unit.replayed for unit in units) < 32 for units in begun.values()):
-                unit = unit_of(await page.next())
-                if unit is not None and unit.stream in begun:
-                    begun[unit.stream].append(unit)
-        for units in begun.values():
-            assert units[0].key
-            assert units[-1].sequence in decoded(units)
-
-    with RunningSession(str(path), "--page", "0.0.0.0:8320", directory=tmp_path) as one:
+    with RunningSession(setup, "--page", "0.0.0.0:8320", directory=tmp_path) as one:
         one.wait_for_flow()
         pages = one.pages()
         out = (tmp_path / "out.txt").read_text()
@@ -69,9 +55,19 @@ def test_over_tls_pages_get_streams_of_hevc_as_h264(tmp_path):
         tls = aiohttp.Fingerprint(bytes.fromhex(printed[0].replace(":", "")))
         assert pages["space"].startswith("https://")
         with pytest.raises(aiohttp.ClientConnectorCertificateError):
-            visit(pages["space"], lambda visitor: visitor.get("/"))
+            async with visiting(pages["space"]) as visitor:
+                await visitor.get("/")
         for seat in ("ground", "space"):
-            visit(pages[seat], deeds, tls=tls)
+            async with visiting(pages[seat], tls=tls) as visitor, visitor.page() as page:
+                ways = {each["via"] for each in page.hello["streams"]}
+                begun = {stream_of(page, via): [] for via in ways}
+                while any(sum(not one.replayed for one in units) < 32 for units in begun.values()):
+                    unit = unit_of(await page.next())
+                    if unit is not None and unit.stream in begun:
+                        begun[unit.stream].append(unit)
+            for units in begun.values():
+                assert units[0].key
+                assert units[-1].sequence in decoded(units)
         report = one.finish(clean=True)
         assert not connects(pages["space"])
         assert report["processes"]["page_space"]["restarts"] == 0
@@ -84,10 +80,8 @@ HANDSHAKES = (
 )
 
 
-def test_strangers_and_bad_handshakes_are_refused(session):
-    url = session.pages()["space"]
-
-    async def deeds(visitor):
+async def test_strangers_and_bad_handshakes_are_refused(session):
+    async with visiting(session.pages()["space"]) as visitor:
         token = visitor.token
         status, html = await visitor.get(f"/space?token={token}")
         assert status == 200 and f'href="/{token}/static/"' in html
@@ -112,13 +106,10 @@ def test_strangers_and_bad_handshakes_are_refused(session):
                     assert status in (400, 403), headers
             await good.text("state")
 
-    visit(url, deeds)
 
-
-def test_viewers_keep_no_operator_out(session):
+async def test_viewers_keep_no_operator_out(session):
     pages = session.pages()
-
-    async def deeds(visitor):
+    async with visiting(pages["space"]) as visitor:
         viewer = Visitor(visitor.client, visitor.url.replace(visitor.token, pages["viewer_token"]))
         async with contextlib.AsyncExitStack() as stack:
             watching = 0
@@ -131,8 +122,6 @@ def test_viewers_keep_no_operator_out(session):
             assert 1 < watching < 20
             async with visitor.page() as page:
                 await page.text("state")
-
-    visit(pages["space"], deeds)
 
 
 def garbage(rng):
@@ -150,53 +139,43 @@ def garbage(rng):
 
 
 @pytest.mark.parametrize("seat", ["space", "ground"])
-def test_garbage_closes_the_socket_that_sent_it_only(session, seat):
-    async def deeds(visitor):
-        async with visitor.page() as good:
-            for path in ("ws", "media"):
-                for message in garbage(np.random.default_rng(3)):
-                    async with visitor.page(path) as bad:
-                        send = bad.ws.send_str if isinstance(message, str) else bad.ws.send_bytes
-                        await send(message)
-                        # Policy violation, or a message that is too big.
-                        assert await bad.close_code() in {1008, 1009}, message
-            for _ in range(3):
-                await good.text("state")
-
-    visit(session.pages()[seat], deeds)
+async def test_garbage_closes_the_socket_that_sent_it_only(session, seat):
+    async with visiting(session.pages()[seat]) as visitor, visitor.page() as good:
+        for path in ("ws", "media"):
+            for message in garbage(np.random.default_rng(3)):
+                async with visitor.page(path) as bad:
+                    send = bad.ws.send_str if isinstance(message, str) else bad.ws.send_bytes
+                    await send(message)
+                    # Policy violation, or a message that is too big.
+                    assert await bad.close_code() in {1008, 1009}, message
+        for _ in range(3):
+            await good.text("state")
 
 
-def test_a_viewer_moves_nothing_and_the_holder_lets_go_with_its_socket(session):
+async def test_a_viewer_moves_nothing_and_the_holder_lets_go_with_its_socket(session):
     pages = session.pages()
     space, viewer = pages["space"], pages["viewer_token"]
     watching = space.partition("token=")[0] + f"token={viewer}"
-
-    async def watch(visitor):
+    async with visiting(watching) as visitor, visitor.page() as page:
+        assert page.hello["role"] == "viewer"
+        await page.ws.send_bytes(hand(1))
+        for do, fields in (("hand", {"action": "take"}), ("command", SELECT)):
+            answer = await page.ask(do, **fields)
+            assert (answer["ok"], answer["error"]) == (False, "a viewer may watch only")
+        assert (await page.text("state"))["hand"]["holder"] is None
+    async with visiting(space) as visitor, visitor.page() as other:
         async with visitor.page() as page:
-            assert page.hello["role"] == "viewer"
-            await page.ws.send_bytes(hand(1))
-            for do, fields in (("hand", {"action": "take"}), ("command", SELECT)):
-                answer = await page.ask(do, **fields)
-                assert (answer["ok"], answer["error"]) == (False, "a viewer may watch only")
-            assert (await page.text("state"))["hand"]["holder"] is None
-
-    async def hold(visitor):
-        async with visitor.page() as other:
-            async with visitor.page() as page:
-                assert (await page.ask("hand", action="take"))["ok"]
-                for sequence in range(1, 50):
-                    await page.ws.send_bytes(hand(sequence, x=0.1))
-                while (await other.text("state"))["hand"]["holder"] != page.hello["page"]:
-                    pass
-            while (await other.text("state"))["hand"]["holder"] is not None:
+            assert (await page.ask("hand", action="take"))["ok"]
+            for sequence in range(1, 50):
+                await page.ws.send_bytes(hand(sequence, x=0.1))
+            while (await other.text("state"))["hand"]["holder"] != page.hello["page"]:
                 pass
+        while (await other.text("state"))["hand"]["holder"] is not None:
+            pass
 
-    visit(watching, watch)
-    visit(space, hold)
 
-
-def test_who_joins_in_the_middle_has_the_same_picture(session):
-    async def deeds(visitor):
+async def test_who_joins_in_the_middle_has_the_same_picture(session):
+    async with visiting(session.pages()["space"]) as visitor:
         async with visitor.page() as first:
             stream = stream_of(first, "coded")
             seen = await first.units(stream, lambda unit: not unit.replayed)
@@ -215,38 +194,29 @@ def test_who_joins_in_the_middle_has_the_same_picture(session):
         for sequence in both:
             assert psnr_db(one[sequence], other[sequence]) > 38
 
-    visit(session.pages()["space"], deeds)
 
-
-def test_ground_control_records_and_a_viewer_does_not(session):
+async def test_ground_control_records_and_a_viewer_does_not(session):
     def recorded():
         found = session.directory.glob(f"{session.session}-*.mcap")
         return any(path.stat().st_size > 50_000 for path in found)
 
-    async def deeds(visitor):
-        async def told(page, wanted):
-            while wanted((await page.text("figures"))["figures"].get("recorder.file")) is None:
-                pass
-
-        async with visitor.page() as page:
-            assert (await page.ask("record", action="start"))["ok"]
-            await told(page, lambda file: file)
-            again = await page.ask("record", action="start")
-            assert not again["ok"] and ".mcap" in again["error"]
-            await asyncio.to_thread(eventually, recorded, "some of the session in the file")
-            assert (await page.ask("record", action="stop"))["ok"]
-            await told(page, lambda file: True if file is None else None)
-            assert "not being recorded" in (await page.ask("record", action="stop"))["error"]
+    async def told(page, wanted):
+        while wanted((await page.text("figures"))["figures"].get("recorder.file")) is None:
+            pass
 
     pages = session.pages()
-    visit(pages["ground"], deeds)
+    async with visiting(pages["ground"]) as visitor, visitor.page() as page:
+        assert (await page.ask("record", action="start"))["ok"]
+        await told(page, lambda file: file)
+        again = await page.ask("record", action="start")
+        assert not again["ok"] and ".mcap" in again["error"]
+        await asyncio.to_thread(eventually, recorded, "some of the session in the file")
+        assert (await page.ask("record", action="stop"))["ok"]
+        await told(page, lambda file: True if file is None else None)
+        assert "not being recorded" in (await page.ask("record", action="stop"))["error"]
     (path,) = session.directory.glob(f"{session.session}-*.mcap")
     with path.open("rb") as file:
         assert make_reader(file).get_summary().statistics.message_count > 0
-
-    async def watch(visitor):
-        async with visitor.page() as page:
-            assert "watch only" in (await page.ask("record", action="start"))["error"]
-
     ground, viewer = pages["ground"].partition("token=")[0], pages["viewer_token"]
-    visit(f"{ground}token={viewer}", watch)
+    async with visiting(f"{ground}token={viewer}") as visitor, visitor.page() as page:
+        assert "watch only" in (await page.ask("record", action="start"))["error"]

@@ -10,19 +10,9 @@ from urllib.request import Request, urlopen
 
 import pytest
 from programs import running
-from running_session import COMMAND, TIMEOUT_S, alive, eventually, restarted, tcp_port
+from running_session import COMMAND, TIMEOUT_S, eventually, restarted, tcp_port
 
 _SHORT = 'cameras = ["head"]\npartner_arm = "{arm}"\n[uplink_video]\ncap_kbps = 85\n'
-
-
-@pytest.fixture
-def start_lab(start, tmp_path):
-    def begin(arm, *options):
-        path = tmp_path / "lab.toml"
-        path.write_text(_SHORT.format(arm=arm))
-        return start(str(path), *options)
-
-    return begin
 
 
 def authority(session, *words):
@@ -56,8 +46,8 @@ class Partner(contextlib.ExitStack):
         return code, int(re.search(r"(\d+) from it", self._path.read_text())[1])
 
 
-def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start_lab, tmp_path):
-    session = start_lab("shared")
+def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start, tmp_path):
+    session = start(_SHORT.format(arm="shared"))
     pids = session.pids()
     session.wait_for_flow()
     eventually(
@@ -68,9 +58,7 @@ def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start
         partner.wait_for("answers")
         # The desk and the robot come back with the owner that was ordered.
         for name in ("owner_desk", "robot"):
-            os.kill(pids[name], signal.SIGKILL)
-            eventually(lambda pid=pids[name]: not alive(pid), f"the end of {name}")
-            eventually(lambda: len(session.children()) == len(pids), f"the restart of {name}")
+            session.kill(pids, name)
         eventually(
             lambda: authority(session).stdout.startswith("partner drives"), "the partner again"
         )
@@ -97,11 +85,9 @@ def across(tmp_path):
     return [*map(str, options)], url, ("--rtc", url, "--token-file", str(hand))
 
 
-def test_one_joystick_drives_across_the_internet_until_the_owner_takes_the_robot(
-    start_lab, tmp_path
-):
+def test_one_joystick_drives_across_the_internet_until_the_owner_takes_the_robot(start, tmp_path):
     options, _, words = across(tmp_path)
-    session = start_lab("shared", *options)
+    session = start(_SHORT.format(arm="shared"), *options)
     session.wait_for_flow()
     hand_over(session, "partner")
     viewer = (*words[:2], "--token-file", str(tmp_path / "seen"))
@@ -127,9 +113,9 @@ def test_one_joystick_drives_across_the_internet_until_the_owner_takes_the_robot
     session.interrupt()
 
 
-def test_a_second_arm_is_the_partners_own_across_the_internet(start_lab, tmp_path):
+def test_a_second_arm_is_the_partners_own_across_the_internet(start, tmp_path):
     options, url, words = across(tmp_path)
-    session = start_lab("second", *options)
+    session = start(_SHORT.format(arm="second"), *options)
     pids = session.pids()
     session.wait_for_flow()
     with Partner(

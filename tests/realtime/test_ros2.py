@@ -98,10 +98,9 @@ class Run:
     def __init__(self, top):
         port, path = tcp_port(), top / "run.mcap"
         # With each picture recorded, whichever of them the node chooses is in the file.
-        setup = top / "whole.toml"
-        setup.write_text(setup_toml(replace(load_setup("taskboard"), recorded_cameras="all")))
+        setup = setup_toml(replace(load_setup("taskboard"), recorded_cameras="all"))
         options = ("--ros2", str(port), "--record", str(path))
-        with RunningSession(str(setup), *options, directory=top) as session:
+        with RunningSession(setup, *options, directory=top) as session:
             self.topics = topics_of(session.setup)
             self.setup_topic = next(one for one in self.topics if one.endswith("/setup"))
             own = {self.setup_topic, LATE}

@@ -58,58 +58,50 @@ def same_units(events, units):
     ]
 
 
-def test_a_partner_watches_and_is_seen_with_the_same_octets():
+async def test_a_partner_watches_and_is_seen_with_the_same_octets():
     units = coded(50)
     watched, taken = [], []
-
-    async def run():
-        async with serving(taken.append) as (server, programme, base):
-            async with (
-                kept(f"{base}/whep/main", receiving(watched), TOKEN) as viewer,
-                kept(f"{base}/whip", sending, TOKEN) as sender,
-            ):
-                await until(lambda: all(peer.connected for peer in server.peers))
-                await send(units, programme.send_unit, programme.send_opus)
-                await until(lambda: len(pictures(watched)) == 50)
-                await send(units, sender.peer.send_unit, sender.peer.send_opus)
-                await until(lambda: len(pictures(taken)) == 50)
-                assert viewer.peer.route.local == "host"
-            await until(lambda: not server.peers)
-            assert server.made == 2
-            assert server.garbage == 0
-
-    asyncio.run(run())
+    async with serving(taken.append) as (server, programme, base):
+        async with (
+            kept(f"{base}/whep/main", receiving(watched), TOKEN) as viewer,
+            kept(f"{base}/whip", sending, TOKEN) as sender,
+        ):
+            await until(lambda: all(peer.connected for peer in server.peers))
+            await send(units, programme.send_unit, programme.send_opus)
+            await until(lambda: len(pictures(watched)) == 50)
+            await send(units, sender.peer.send_unit, sender.peer.send_opus)
+            await until(lambda: len(pictures(taken)) == 50)
+            assert viewer.peer.route.local == "host"
+        await until(lambda: not server.peers)
+        assert server.made == 2
+        assert server.garbage == 0
     for events in (watched, taken):
         assert same_units(events, units)
         assert sounds(events)
 
 
-def test_ice_begins_anew_in_the_middle_and_the_media_go_on():
+async def test_ice_begins_anew_in_the_middle_and_the_media_go_on():
     units = coded(40)
     watched = []
-
-    async def run():
-        async with (
-            serving() as (server, programme, base),
-            WhipClient(f"{base}/whep/main", token=TOKEN) as client,
-        ):
-            viewer = receiving(watched)(IceServers())
-            await viewer.accept(await client.post(await viewer.offer()))
-            running = asyncio.create_task(viewer.run())
-            await until(lambda: viewer.connected and server.peers[0].connected)
-            half = len(units) // 2
-            await send(units[:half], programme.send_unit, programme.send_opus)
-            port = viewer.route.remote_port
-            local = await viewer.restart()
-            await viewer.finish_restart(await client.restart(local))
-            await until(lambda: server.peers[0].restarts == 1)
-            assert viewer.route.remote_port != port
-            await send(units[half:], programme.send_unit, programme.send_opus)
-            await until(lambda: len(pictures(watched)) == 40)
-            await viewer.close()
-            await running
-
-    asyncio.run(run())
+    async with (
+        serving() as (server, programme, base),
+        WhipClient(f"{base}/whep/main", token=TOKEN) as client,
+    ):
+        viewer = receiving(watched)(IceServers())
+        await viewer.accept(await client.post(await viewer.offer()))
+        running = asyncio.create_task(viewer.run())
+        await until(lambda: viewer.connected and server.peers[0].connected)
+        half = len(units) // 2
+        await send(units[:half], programme.send_unit, programme.send_opus)
+        port = viewer.route.remote_port
+        local = await viewer.restart()
+        await viewer.finish_restart(await client.restart(local))
+        await until(lambda: server.peers[0].restarts == 1)
+        assert viewer.route.remote_port != port
+        await send(units[half:], programme.send_unit, programme.send_opus)
+        await until(lambda: len(pictures(watched)) == 40)
+        await viewer.close()
+        await running
     assert same_units(watched, units)
 
 
@@ -128,36 +120,32 @@ REFUSED = (
 )
 
 
-def test_strangers_and_nonsense_are_answered_and_the_partner_still_comes():
+async def test_strangers_and_nonsense_are_answered_and_the_partner_still_comes():
     units, watched = coded(20), []
+    async with serving() as (server, programme, base):
+        async with aiohttp.ClientSession() as session:
 
-    async def run():
-        async with serving() as (server, programme, base):
-            async with aiohttp.ClientSession() as session:
+            async def status(method, path, body, **headers):
+                async with session.request(
+                    method, base + path, data=body, headers=headers
+                ) as answer:
+                    return answer.status
 
-                async def status(method, path, body, **headers):
-                    async with session.request(
-                        method, base + path, data=body, headers=headers
-                    ) as answer:
-                        return answer.status
-
-                for code, method, path, body, kind, known in REFUSED:
-                    headers = {"Authorization": f"Bearer {TOKEN}"} if known else {}
-                    found = await status(method, path, body, **{"Content-Type": kind}, **headers)
-                    assert found == code, (path, body[:10])
-                asks = {"Access-Control-Request-Method": "POST", "Origin": "https://other"}
-                assert await status("OPTIONS", "/whep/main", b"", **asks) == 204
-            with pytest.raises(ConfigError, match="token"):
-                await Keeper(
-                    f"{base}/whep/main",
-                    token="guess",
-                    make_peer=receiving([]),
-                    servers=IceServers,
-                    clock=MonotonicClock(),
-                ).run()
-            async with kept(f"{base}/whep/main", receiving(watched), TOKEN):
-                await until(lambda: server.peers and server.peers[0].connected)
-                await send(units, programme.send_unit, programme.send_opus)
-                await until(lambda: len(pictures(watched)) == 20)
-
-    asyncio.run(run())
+            for code, method, path, body, kind, known in REFUSED:
+                headers = {"Authorization": f"Bearer {TOKEN}"} if known else {}
+                found = await status(method, path, body, **{"Content-Type": kind}, **headers)
+                assert found == code, (path, body[:10])
+            asks = {"Access-Control-Request-Method": "POST", "Origin": "https://other"}
+            assert await status("OPTIONS", "/whep/main", b"", **asks) == 204
+        with pytest.raises(ConfigError, match="token"):
+            await Keeper(
+                f"{base}/whep/main",
+                token="guess",
+                make_peer=receiving([]),
+                servers=IceServers,
+                clock=MonotonicClock(),
+            ).run()
+        async with kept(f"{base}/whep/main", receiving(watched), TOKEN):
+            await until(lambda: server.peers and server.peers[0].connected)
+            await send(units, programme.send_unit, programme.send_opus)
+            await until(lambda: len(pictures(watched)) == 20)

@@ -23,12 +23,11 @@ downlink_voice = {cap_kbps = 64}
 
 
 def test_no_trouble_of_a_partners_leg_reaches_the_link(start, tmp_path):
-    token, setup, port = tmp_path / "token", tmp_path / "small.toml", tcp_port()
+    token, port = tmp_path / "token", tcp_port()
     token.write_text(TOKEN)
-    setup.write_text(SMALL)
     units, uplink = coded(50), []
     session = start(
-        str(setup),
+        SMALL,
         *("--rtc", str(port), "--rtc-token-file", str(token), "--record", "rtc.mcap"),
     )
     session.wait_for_flow()

@@ -30,11 +30,7 @@ class Watched:
 
     def kill(self, name):
         """Kill a process; wait until its next start says what it does."""
-        os.kill(self.pids[name], signal.SIGKILL)
-        before = {*self.pids.values()}
-        (self.pids[name],) = eventually(
-            lambda: {*self.session.children()} - before, f"the restart of {name}"
-        )
+        self.session.kill(self.pids, name)
         self._readers[name].latest_octets()
         self.newest(name)
 

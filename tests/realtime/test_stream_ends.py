@@ -66,7 +66,7 @@ def test_what_no_report_dates_comes_without_an_age(tmp_path, kind):
     assert first.data.shape == item.shape and first.data.dtype == item.dtype
 
 
-def test_an_async_reader_is_ended_from_outside(tmp_path):
+async def test_an_async_reader_is_ended_from_outside(tmp_path):
     port, sdp = free_port(), tmp_path / "s.sdp"
     seen = sent = 0
 
@@ -75,20 +75,16 @@ def test_an_async_reader_is_ended_from_outside(tmp_path):
         async for _ in pictures:
             seen += 1
 
-    async def run():
-        nonlocal sent
-        sending = av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, fps=120, sdp=sdp)
-        async with sending as end:
-            await end.asend(GREY)
-            async with av.StreamReceiver(sdp) as pictures:
-                reading = asyncio.create_task(read(pictures))
-                while seen <= 5 and sent < MOST:
-                    await end.asend(GREY)
-                    sent += 1
-                await asyncio.to_thread(pictures.close)
-                await reading
-        assert seen > 5 and pictures.ended == "closed"
-        assert 5 < end.counts.frames_sent <= sent + 1 and 0 < end.largest_bps <= 300_000
-        assert seen + pictures.skipped <= end.counts.frames_sent
-
-    asyncio.run(run())
+    sending = av.PictureSender(f"127.0.0.1:{port}", cap_bps=300_000, fps=120, sdp=sdp)
+    async with sending as end:
+        await end.asend(GREY)
+        async with av.StreamReceiver(sdp) as pictures:
+            reading = asyncio.create_task(read(pictures))
+            while seen <= 5 and sent < MOST:
+                await end.asend(GREY)
+                sent += 1
+            await asyncio.to_thread(pictures.close)
+            await reading
+    assert seen > 5 and pictures.ended == "closed"
+    assert 5 < end.counts.frames_sent <= sent + 1 and 0 < end.largest_bps <= 300_000
+    assert seen + pictures.skipped <= end.counts.frames_sent

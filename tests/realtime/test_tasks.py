@@ -1,11 +1,8 @@
 """Tasks in a live session: a simulated cosmonaut does them, whatever is killed meanwhile."""
 
-import os
-import signal
-
 import numpy as np
 from mcap.reader import make_reader
-from running_session import alive, eventually, restarted
+from running_session import eventually, restarted
 
 from pipelines.hand.haptic_trace import DEAD_MAN
 from pipelines.recording.recorded_messages import unpack_haptics
@@ -80,12 +77,6 @@ class Watched:
         return eventually(over, f"the end of run {run}")
 
 
-def kill(session, pids, name):
-    os.kill(pids[name], signal.SIGKILL)
-    eventually(lambda: not alive(pids[name]), f"the end of {name}")
-    eventually(lambda: len(session.children()) == len(pids), f"the restart of {name}")
-
-
 def led_without_dead_man_m(path):
     """How far the tip went after the dead-man button had been let go for a while (m)."""
     with path.open("rb") as file:
@@ -107,17 +98,17 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
         watched = Watched(bus)
         # The LED panel comes back with what it is told ten times a second.
         watched.wait_for_telepresence(1)
-        kill(session, pids, "leds")
+        session.kill(pids, "leds")
         row = watched.wait_for_result(1)
         assert row.result == "finished", row
         # A panel that has forgotten its task is told it again.
         eventually(lambda: watched.see(ExperimentShown).panel == "hold", "a held handle")
         assert watched.see(ExperimentShown).run == 2
-        kill(session, pids, "panel")
+        session.kill(pids, "panel")
         watched.wait_for_telepresence(2)
         # The controller goes on without the kernel, whose next start switches the robot off.
         boot_id = watched.see(RobotStatus).boot_id
-        kill(session, pids, "tasks")
+        session.kill(pids, "tasks")
         row = watched.wait_for_result(2)
         assert (row.result, row.reason) == ("aborted", "the task's process was restarted")
         eventually(lambda: not watched.see(RobotStatus).powered, "the robot without power")

@@ -80,10 +80,8 @@ def test_a_session_outlives_its_robots_controller(start, controller, tmp_path, m
     robot_port, joystick_port = free_port(), free_port()
     robot = controller("robot", robot_port)
     joystick = controller("joystick", joystick_port)
-    path = tmp_path / "board.toml"
-    path.write_text(SETUP)
     session = start(
-        *(str(path), "--robot", f"udp:127.0.0.1:{robot_port}"),
+        *(SETUP, "--robot", f"udp:127.0.0.1:{robot_port}"),
         *("--joystick", f"udp:127.0.0.1:{joystick_port}", "--record", "run.mcap"),
     )
     with session.bus(monkeypatch) as bus:

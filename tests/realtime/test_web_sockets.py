@@ -54,29 +54,26 @@ def asked(*paths, words):
 
 
 @pytest.mark.parametrize("path", ["", "/space?token=viewer"])
-def test_neither_strangers_nor_viewers_take_all_connections(path):
+async def test_neither_strangers_nor_viewers_take_all_connections(path):
     """They stay open, with a request or without one."""
 
     def descriptors():
         return len([*Path("/proc/self/fd").iterdir()])
 
-    async def run():
-        async with served({}) as (base, _), AsyncExitStack() as stack:
-            before, opened = descriptors(), 400
-            for _ in range(opened):
-                port = int(base.rpartition(":")[2])
-                reader, writer = await asyncio.open_connection("127.0.0.1", port)
-                stack.callback(writer.close)
-                if path:
-                    writer.write(f"GET {path} HTTP/1.1\r\nHost: {base[7:]}\r\n\r\n".encode())
-                    await reader.readexactly(15)
-            # Both ends of each are here.
-            while descriptors() > before + opened + MOST_WATCHING:
-                await asyncio.sleep(0.01)
-            async with aiohttp.request("GET", f"{base}/space?token=operator") as answer:
-                assert answer.status == 200
-
-    asyncio.run(run())
+    async with served({}) as (base, _), AsyncExitStack() as stack:
+        before, opened = descriptors(), 400
+        for _ in range(opened):
+            port = int(base.rpartition(":")[2])
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            stack.callback(writer.close)
+            if path:
+                writer.write(f"GET {path} HTTP/1.1\r\nHost: {base[7:]}\r\n\r\n".encode())
+                await reader.readexactly(15)
+        # Both ends of each are here.
+        while descriptors() > before + opened + MOST_WATCHING:
+            await asyncio.sleep(0.01)
+        async with aiohttp.request("GET", f"{base}/space?token=operator") as answer:
+            assert answer.status == 200
 
 
 def test_a_page_names_its_files_by_its_own_token_and_strangers_are_counted():
@@ -144,54 +141,45 @@ async def until(condition):
 
 
 @pytest.mark.rule("10")
-def test_texts_and_octets_are_taken_and_garbage_closes_the_socket():
-    async def run():
-        async with serving() as (server, client, url), client.ws_connect(url) as ws:
-            # No handshake.
-            async with client.get(url) as answer:
-                assert answer.status == 400
-            await ws.send_str("a text")
-            await ws.send_bytes(b"octets")
-            await ws.send_bytes(GARBAGE)
-            closed = await ws.receive()
-            assert (closed.type, closed.data) == (aiohttp.WSMsgType.CLOSE, 1008)
-            assert closed.extra == "no sense in it"
-            assert server.taken == ["a text", b"octets"]
-            sockets = server.sockets
-            assert (sockets.connections, sockets.garbage, sockets.closed) == (1, 1, 1)
-
-    asyncio.run(run())
+async def test_texts_and_octets_are_taken_and_garbage_closes_the_socket():
+    async with serving() as (server, client, url), client.ws_connect(url) as ws:
+        # No handshake.
+        async with client.get(url) as answer:
+            assert answer.status == 400
+        await ws.send_str("a text")
+        await ws.send_bytes(b"octets")
+        await ws.send_bytes(GARBAGE)
+        closed = await ws.receive()
+        assert (closed.type, closed.data) == (aiohttp.WSMsgType.CLOSE, 1008)
+        assert closed.extra == "no sense in it"
+        assert server.taken == ["a text", b"octets"]
+        sockets = server.sockets
+        assert (sockets.connections, sockets.garbage, sockets.closed) == (1, 1, 1)
 
 
-def test_a_page_that_reads_nothing_is_sent_no_more_and_closed_after_30_s():
-    async def run():
-        async with serving(b"x" * 50_000) as (server, client, url):
-            ws = await client.ws_connect(url, max_msg_size=0)
-            ws._response.connection.transport.pause_reading()
-            sent = -1
-            while sent != server.sent:
-                sent = server.sent
-                await asyncio.sleep(0.3)
-            # Not more than the buffers of two kernels' sockets.
-            assert sent * 50_000 < 10_000_000
-            server.now_ns = 30 * NS_PER_S
-            server.sockets.handle_time(server.now_ns)
-            await asyncio.sleep(0.1)
-            assert len(server.sockets) == 1
-            server.now_ns += 1
-            server.sockets.handle_time(server.now_ns)
-            await until(lambda: len(server.sockets) == 0)
-
-    asyncio.run(run())
+async def test_a_page_that_reads_nothing_is_sent_no_more_and_closed_after_30_s():
+    async with serving(b"x" * 50_000) as (server, client, url):
+        ws = await client.ws_connect(url, max_msg_size=0)
+        ws._response.connection.transport.pause_reading()
+        sent = -1
+        while sent != server.sent:
+            sent = server.sent
+            await asyncio.sleep(0.3)
+        # Not more than the buffers of two kernels' sockets.
+        assert sent * 50_000 < 10_000_000
+        server.now_ns = 30 * NS_PER_S
+        server.sockets.handle_time(server.now_ns)
+        await asyncio.sleep(0.1)
+        assert len(server.sockets) == 1
+        server.now_ns += 1
+        server.sockets.handle_time(server.now_ns)
+        await until(lambda: len(server.sockets) == 0)
 
 
-def test_all_are_told_when_the_server_ends():
-    async def run():
-        async with serving() as (server, client, url), client.ws_connect(url) as ws:
-            reading = asyncio.create_task(ws.receive())
-            await until(lambda: len(server.sockets) == 1)
-            await server.sockets.close()
-            closed = await reading
-            assert (closed.data, closed.extra) == (1001, "the server ends")
-
-    asyncio.run(run())
+async def test_all_are_told_when_the_server_ends():
+    async with serving() as (server, client, url), client.ws_connect(url) as ws:
+        reading = asyncio.create_task(ws.receive())
+        await until(lambda: len(server.sockets) == 1)
+        await server.sockets.close()
+        closed = await reading
+        assert (closed.data, closed.extra) == (1001, "the server ends")

@@ -51,56 +51,44 @@ async def posted(url, **options):
 
 @pytest.mark.parametrize("allowed", [True, False])
 @pytest.mark.parametrize("location", ["session/1", "/room/session/1"])
-def test_a_redirect_to_another_origin_is_followed_and_the_session_is_there(allowed, location):
-    async def run():
-        async with serving(lambda request: created(request, location=location)) as (there, asked):
-            moved = {"Location": f"{there}/room/whip"}
-            async with serving(lambda _: web.Response(status=307, headers=moved)) as (here, first):
-                origins = [there] if allowed else []
-                async with WhipClient(f"{here}/a", token="T", token_origins=origins) as client:
-                    assert await client.post("v=0") == ANSWER
-        token = "Bearer T" if allowed else ""
-        assert first == [("POST", "/a", "Bearer T")]
-        assert asked == [
-            ("POST", "/room/whip", token),
-            ("DELETE", "/room/session/1", token),
-        ]
-
-    asyncio.run(run())
+async def test_a_redirect_to_another_origin_is_followed_and_the_session_is_there(allowed, location):
+    async with serving(lambda request: created(request, location=location)) as (there, asked):
+        moved = {"Location": f"{there}/room/whip"}
+        async with serving(lambda _: web.Response(status=307, headers=moved)) as (here, first):
+            origins = [there] if allowed else []
+            async with WhipClient(f"{here}/a", token="T", token_origins=origins) as client:
+                assert await client.post("v=0") == ANSWER
+    token = "Bearer T" if allowed else ""
+    assert first == [("POST", "/a", "Bearer T")]
+    assert asked == [
+        ("POST", "/room/whip", token),
+        ("DELETE", "/room/session/1", token),
+    ]
 
 
 @pytest.mark.parametrize("location", ["http://[", "//[::1", "http://host:port/x", "mailto:a@b"])
-def test_a_location_that_is_no_address_ends_in_one_line(location):
-    async def run():
-        async with serving(lambda request: created(request, location=location)) as (url, _):
-            with suppress(ProtocolError):
-                assert await posted(url, token="T") == ANSWER
-        moved = {"Location": location}
-        async with serving(lambda _: web.Response(status=307, headers=moved)) as (url, _):
-            with pytest.raises((ConfigError, ConnectionError, ProtocolError)):
-                await posted(url)
-
-    asyncio.run(run())
+async def test_a_location_that_is_no_address_ends_in_one_line(location):
+    async with serving(lambda request: created(request, location=location)) as (url, _):
+        with suppress(ProtocolError):
+            assert await posted(url, token="T") == ANSWER
+    moved = {"Location": location}
+    async with serving(lambda _: web.Response(status=307, headers=moved)) as (url, _):
+        with pytest.raises((ConfigError, ConnectionError, ProtocolError)):
+            await posted(url)
 
 
-def test_redirects_are_bounded():
-    async def run():
-        moved = {"Location": "again"}
-        async with serving(lambda _: web.Response(status=307, headers=moved)) as (url, asked):
-            with pytest.raises(ProtocolError, match="in circles"):
-                await posted(url, token="T")
-        assert len(asked) < 10 and {token for *_, token in asked} == {"Bearer T"}
-
-    asyncio.run(run())
+async def test_redirects_are_bounded():
+    moved = {"Location": "again"}
+    async with serving(lambda _: web.Response(status=307, headers=moved)) as (url, asked):
+        with pytest.raises(ProtocolError, match="in circles"):
+            await posted(url, token="T")
+    assert len(asked) < 10 and {token for *_, token in asked} == {"Bearer T"}
 
 
 @pytest.mark.parametrize("charset", ["utf-8", "latin-1", "klingon"])
-def test_an_answer_in_any_charset_is_read(charset):
-    async def run():
-        async with serving(lambda request: created(request, charset=charset)) as (url, _):
-            assert await posted(url) == ANSWER
-
-    asyncio.run(run())
+async def test_an_answer_in_any_charset_is_read(charset):
+    async with serving(lambda request: created(request, charset=charset)) as (url, _):
+        assert await posted(url) == ANSWER
 
 
 def test_an_answer_of_an_older_server_is_taken_if_it_is_one_and_tried_again_if_it_is_nonsense():
@@ -127,12 +115,9 @@ def test_an_answer_of_an_older_server_is_taken_if_it_is_one_and_tried_again_if_i
         *((code, b"", ConnectionError, str(code)) for code in (409, 429, 500, 503)),
     ],
 )
-def test_what_a_server_says_with_a_refusal_is_shown_in_one_line(status, body, error, shown):
-    async def run():
-        async with serving(lambda _: web.Response(status=status, body=body)) as (url, _):
-            with pytest.raises(error, match=shown) as refused:
-                await posted(url)
-        line = str(refused.value)
-        assert line.isprintable() and str(status) in line and len(line) < 300
-
-    asyncio.run(run())
+async def test_what_a_server_says_with_a_refusal_is_shown_in_one_line(status, body, error, shown):
+    async with serving(lambda _: web.Response(status=status, body=body)) as (url, _):
+        with pytest.raises(error, match=shown) as refused:
+            await posted(url)
+    line = str(refused.value)
+    assert line.isprintable() and str(status) in line and len(line) < 300

@@ -18,33 +18,24 @@ from telepresence.link.profile import LinkProfile
 #: Slots before a repair zone that it covers.
 WINDOW = 100
 
-#: Bits of an element, elements of a symbol, and the bits of a symbol.
-_BITS, _ELEMENTS = 10, 10
-_SYMBOL = _BITS * _ELEMENTS
+#: Bits of an element, and of a symbol.
+_BITS, _SYMBOL = 10, 100
 _ORDER = (1 << _BITS) - 1
 _POLYNOMIAL = 0x409
 _DISTANCES = 512
 #: The highest bit of each element of the longest number that `combine` takes.
-_HIGHEST = sum(1 << _BITS * element + _BITS - 1 for element in range(2 * _DISTANCES))
+_HIGHEST = sum(1 << _BITS * element + _BITS - 1 for element in range(2 * WINDOW))
 
 _powers = [1]
 while len(_powers) < _ORDER:
     _next = _powers[-1] << 1
     _powers.append(_next ^ _POLYNOMIAL if _next > _ORDER else _next)
-_EXP = _powers * 2
-_LOG = [0] * (_ORDER + 1)
-for _power, _element in enumerate(_powers):
-    _LOG[_element] = _power
-
-
-def multiply(a: int, b: int) -> int:
-    """The product of two elements."""
-    return _EXP[_LOG[a] + _LOG[b]] if a and b else 0
+_INVERSES = {element: _powers[-power] for power, element in enumerate(_powers)}
 
 
 def inverse(a: int) -> int:
     """The element whose product with `a`, which is not 0, is 1."""
-    return _EXP[_ORDER - _LOG[a]]
+    return _INVERSES[a]
 
 
 def combine(parts: Sequence[int]) -> int:
@@ -99,10 +90,10 @@ class CauchyCode:
         return symbol * _COPIES
 
     def sum(self, prepared: Iterable[tuple[int, int]], count: int) -> int:
-        selected, total = _SELECTED, 0
+        selected, distances, total = _SELECTED, _DISTANCES - 1, 0
         for slot, copies in prepared:
             if copies:
-                total ^= copies & selected[(count ^ slot) & _DISTANCES - 1]
+                total ^= copies & selected[(count ^ slot) & distances]
         return combine([total >> _SYMBOL * bit & (1 << _SYMBOL) - 1 for bit in range(_BITS)])
 
 

@@ -17,7 +17,8 @@ class RepairDecoder:
     """Call `handle_zone` or `handle_lost` for every slot, in order; `restart` before a gap.
 
     lost: counts of the slots that may still be restored, oldest first. A slot is given up when it
-    is older than the window. Without one, `note` with pointer and zone does for `handle_zone`.
+    is older than the window. Without one, `note` with pointer and zone does for `handle_zone`;
+    else `append` does for what is no repair zone.
     """
 
     def __init__(self, profile: LinkProfile) -> None:
@@ -56,7 +57,7 @@ class RepairDecoder:
 
     def handle_lost(self, count: int) -> None:
         """The frame of this slot did not come."""
-        self._append(count, None)
+        self.append(count, None)
         self.lost[count] = None
         for unknowns in self._in_use:
             unknowns.lost[count] = None
@@ -73,10 +74,11 @@ class RepairDecoder:
             if len(self._firsts) == WINDOW:
                 self._solve(count, pointer, zone)
                 restored = self._take_restored(count - WINDOW)
-        self._append(count, (pointer, zone))
+        self.append(count, (pointer, zone))
         return restored
 
-    def _append(self, count: int, content: Content | None) -> None:
+    def append(self, count: int, content: Content | None) -> None:
+        """Take a slot that is no repair zone; None: lost."""
         self.note(content)
         while (oldest := next(iter(self.lost), count)) <= count - WINDOW:
             self.given_up += 1

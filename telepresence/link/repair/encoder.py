@@ -1,15 +1,27 @@
 """The sending end: the repair zones of one direction. No I/O, no clock."""
 
 from collections import deque
+from enum import IntEnum
 
 from telepresence.link.profile import LinkProfile
 from telepresence.link.repair.codes import WINDOW, code_of
-from telepresence.link.repair.reserve import Idle
 from telepresence.link.repair.symbols import Content, Symbols
 
+
+class Idle(IntEnum):
+    """How much of the idle slots carries repair.
+
+    FEW restore the first losses, before the other end has reported any.
+    """
+
+    NONE = 0
+    FEW = 1
+    MANY = 2
+
+
 #: Repair zones in idle slots for each protected zone, and the fewest behind one; by `Idle`.
-_SHORT_CREDITS = (0, 0), (0, 2), (1, 4), (1, 4)
-_LONG_CREDITS = (0, 0), (0, 2), (1, 6), (2, 12)
+_SHORT_CREDITS = (0, 0), (0, 2), (1, 4)
+_LONG_CREDITS = (0, 0), (0, 2), (1, 6)
 
 
 class RepairEncoder:
@@ -18,6 +30,7 @@ class RepairEncoder:
     Idle slots carry as many repair zones as the zones before them earn, so that a link without
     traffic stays idle.
 
+    least_position: as of `Symbols`.
     new: slots protected since a repair zone was last made, with pointer and zone.
     credit: repair zones that the slots before them have earned. Without both, `repair` returns None
         for an idle slot.
@@ -25,6 +38,7 @@ class RepairEncoder:
 
     def __init__(self, profile: LinkProfile) -> None:
         self._symbols = Symbols(profile)
+        self.least_position = self._symbols.least_position
         self._code = code_of(profile)
         self._credits = _SHORT_CREDITS if profile.pointer_in_vcid else _LONG_CREDITS
         #: Protected slots, oldest first, with their symbols, prepared: first ones, second ones.
@@ -32,12 +46,7 @@ class RepairEncoder:
         self._seconds: deque[tuple[int, int]] = deque(maxlen=WINDOW)
         self.new: deque[tuple[int, int, bytes]] = deque(maxlen=WINDOW)
         self.credit = 0
-        self.set_idle(Idle.MOST)
-
-    @property
-    def least_position(self) -> int:
-        """As of `Symbols`."""
-        return self._symbols.least_position
+        self.set_idle(Idle.MANY)
 
     def set_idle(self, idle: Idle) -> None:
         """How much of the idle slots carries repair from now on."""

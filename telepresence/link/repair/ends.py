@@ -2,7 +2,8 @@
 
 from telepresence.link.link_metrics import RepairSentMetrics
 from telepresence.link.receiver import LinkReceiver
-from telepresence.link.repair.reserve import NOTHING, PARTS, Growth, Idle, Kept, Loss, Reserve
+from telepresence.link.repair.encoder import Idle
+from telepresence.link.repair.reserve import NOTHING, PARTS, Growth, Kept, Loss, Reserve
 from telepresence.link.sender import LinkSender
 
 
@@ -76,8 +77,11 @@ class EndRepair:
         self._reserve = reserve
         self._sender.reserve = self._kept
         if self._sender.repair is not None:
-            wasted = self.saving or (self.compact and not reserve.active)
-            self._sender.repair.set_idle(Idle.NONE if wasted else reserve.idle)
+            if self.saving or (self.compact and not reserve.active):
+                idle = Idle.NONE
+            else:
+                idle = Idle.MANY if reserve.active else Idle.FEW
+            self._sender.repair.set_idle(idle)
 
     def report(self) -> RepairSentMetrics | None:
         """Return what this end sends for repair, and why; None where the setup has no repair."""

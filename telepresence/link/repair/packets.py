@@ -73,18 +73,20 @@ class RepairedPackets:
             if pointer not in self._repair_pointers or not self._is_repair(pointer, zone):
                 self._settled.handle_zone(pointer, zone, count, now_ns)
             return
-        restored = self._decoder.handle_zone(count, pointer, zone)
         content: Content | tuple[()] = _NOTHING
-        if pointer == self._supervision:
-            # It is read at once, and once.
-            self._settled.handle_zone(pointer, zone, count, now_ns)
-        elif not self._is_repair(pointer, zone):
+        if pointer in self._repair_pointers and self._is_repair(pointer, zone):
+            for slot, restored in self._decoder.handle_zone(count, pointer, zone):
+                self._zones[slot] = restored or _NOTHING
+                self._wait_max_ns = max(self._wait_max_ns, now_ns - self._came_ns[slot])
+                self._anew, self._ahead_at = True, -1
+        else:
             content = pointer, zone
+            self._decoder.append(count, content)
+            if pointer == self._supervision:
+                # It is read at once, and once.
+                self._settled.handle_zone(pointer, zone, count, now_ns)
+                content = _NOTHING
         self._zones[count], self._came_ns[count] = content, now_ns
-        for slot, mended in restored:
-            self._zones[slot] = mended or _NOTHING
-            self._wait_max_ns = max(self._wait_max_ns, now_ns - self._came_ns[slot])
-            self._anew, self._ahead_at = True, -1
         if self._ahead_at == count and next(iter(self._zones)) in self._decoder.lost:
             # Nothing else is to be read.
             _read(self._ahead, content, count, now_ns)

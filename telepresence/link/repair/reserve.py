@@ -2,7 +2,6 @@
 
 from bisect import bisect_right
 from collections import deque
-from enum import IntEnum
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
@@ -38,17 +37,6 @@ _FALLS_NS = 10 * NS_PER_S
 _IDLE_ENOUGH = 0.6
 
 
-class Idle(IntEnum):
-    """How much of the idle slots carries repair."""
-
-    NONE = 0
-    #: Enough for the first losses, before the other end has reported any.
-    FEW = 1
-    #: Enough for single losses.
-    MANY = 2
-    MOST = 3
-
-
 class Loss(NamedTuple):
     """Frames of one direction in the last `MEASURED_NS`, as parts of `PARTS`.
 
@@ -81,30 +69,22 @@ class Growth:
 
 
 class Reserve:
-    """Decides what one direction keeps free for repair: `kept`; `active` unless nothing.
-
-    idle: how much of its idle slots carries repair.
-    """
+    """Decides what one direction keeps free for repair: `kept`; `active` unless nothing."""
 
     def __init__(self) -> None:
         self.active = False
         self.kept = NOTHING
-        self.idle = Idle.FEW
         self._level = 0
         self._loss_ns = self._needed_ns = 0
-        self._torn_ns = -HELD_NS
 
     def handle_loss(self, loss: Loss, idle_share: float, now_ns: int) -> None:
         """The other end reports a loss. idle_share: of this end's slots, repair zones included."""
         if loss.lost:
             self._loss_ns = now_ns
         elif not self.active or now_ns - self._loss_ns >= HELD_NS:
-            self.active, self.kept, self.idle, self._level = False, NOTHING, Idle.FEW, 0
+            self.active, self.kept, self._level = False, NOTHING, 0
             return
         self.active = True
-        if loss.torn:
-            self._torn_ns = now_ns
-        self.idle = Idle.MOST if now_ns - self._torn_ns < HELD_NS else Idle.MANY
         needed = bisect_right(_FROM, loss.lost) + (loss.torn > _TORN * loss.lost)
         if needed >= self._level:
             self._level, self._needed_ns = needed, now_ns

@@ -54,11 +54,10 @@ class Symbols:
         self._first_code = _first_code(profile)
         self._zeros = bytes(size)
         #: Pointers that repair zones have; only `is_repair` tells whether a zone with one is one.
-        first_code = self._first_code
-        self.repair_pointers = frozenset(range(first_code, first_code + self._marks))
+        behind = pointers.supervision if self._short else self._first_code + self._marks
+        self.repair_pointers = {*range(self._first_code, behind)}
         if self._short:
-            self.repair_pointers = frozenset(range(first_code, pointers.supervision))
-            self.repair_pointers |= {pointers.idle}
+            self.repair_pointers.add(pointers.idle)
         self._supervision = size + 3
         mark_of = {position: position + 1 for position in range(size)}
         mark_of |= {size: size + 1, pointers.no_start: size + 1, pointers.preempt: size + 2}

@@ -62,7 +62,8 @@ class Unknowns:
         for slot, other in equations.items():
             for bit in _BITS_OF[self._of(equation, slot)]:
                 parts[bit] ^= other
-        equation ^= combine(parts)
+        if equations:
+            equation ^= combine(parts)
         oldest = next((slot for slot in self.lost if self._of(equation, slot)), None)
         if oldest is None:
             if equation:

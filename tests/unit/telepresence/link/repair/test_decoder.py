@@ -7,9 +7,13 @@ from common import first_seed, repeats
 
 from telepresence.link.frame import Pointers
 from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.repair.codes import WINDOW, CauchyCode, inverse, multiply
+from telepresence.link.repair.codes import WINDOW, CauchyCode, combine, inverse
 from telepresence.link.repair.decoder import RepairDecoder
-from telepresence.link.repair.encoder import RepairEncoder
+from telepresence.link.repair.encoder import Idle, RepairEncoder
+
+
+def multiply(a, b):
+    return combine([b * (a >> bit & 1) for bit in range(10)])
 
 
 def test_the_field_of_the_short_code():
@@ -53,11 +57,13 @@ def test_lost_slots_are_restored(profile):
 
 
 def test_without_traffic_the_link_stays_idle():
-    encoder = RepairEncoder(UPLINK)
-    assert encoder.repair(7, plain=False) is None
-    encoder.protect(8, 0, bytes(12))
-    sent = [encoder.repair(count, plain=False) is not None for count in range(9, 2 * WINDOW)]
-    assert sum(sent) == 4 and all(sent[:4])
+    for idle, zones in ((Idle.MANY, 4), (Idle.FEW, 2), (Idle.NONE, 0)):
+        encoder = RepairEncoder(UPLINK)
+        encoder.set_idle(idle)
+        assert encoder.repair(7, plain=False) is None
+        encoder.protect(8, 0, bytes(12))
+        sent = [encoder.repair(count, plain=False) is not None for count in range(9, 2 * WINDOW)]
+        assert sum(sent) == zones and all(sent[:zones])
 
 
 def test_a_wrong_frame_restores_nothing_more():
