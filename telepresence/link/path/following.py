@@ -201,7 +201,8 @@ class PathFollower:
         self._least_us = self._least_before_us = 1 << 31
         self._told, self._told_level, self._state_ns = ALL.state, 0, 0
         self._try_ns = _TRY_NS
-        self._lower_ns = self._raise_ns = self._lowered_ns = 0
+        self._lower_ns = self._raise_ns = 0
+        self._lowered_ns = -NS_PER_S
         #: Whether steps up follow each other; the level and the queue before the newest, and when.
         self._rising = False
         self._tried = self._tried_ns = 0
@@ -324,7 +325,7 @@ class PathFollower:
     def _use(self, compact: bool) -> None:
         levels = self._compact if compact else self._fixed
         if levels is not self._levels:
-            self._levels, self._level = levels, 0
+            self._levels, self._level, self._raised_ns = levels, 0, -_FAILED_NS
             self.allowed, self.why = ALL, ""
 
 

@@ -177,7 +177,7 @@ def test_a_report_by_hand_and_malformed_ones_are_counted():
     for turn in range(repeats(300)):
         parsed = PathReport.parse(mutate(random, report))
         if parsed is not None:
-            follower.handle_report(parsed, turn * 1000, turn * 100 * MS, compact=True)
+            follower.handle_report(parsed, turn * 1000, turn * 100 * MS, compact=turn % 7 > 0)
     session = Session(conditions()).run(1)
     sealed = session.space._seal(REPORT, report[1:], session.now_ns)
     assert session.ground.handle_datagram(*sealed, session.now_ns) is None
@@ -195,3 +195,15 @@ def test_a_radio_that_hits_counts_and_a_jump_of_the_clock_look_like_no_queue():
         if (report := arrivals.poll_transmit(now_ns)) is not None:
             follower.handle_report(PathReport.parse(report), slot * 110, slot * MS, compact=True)
         assert follower.allowed == ALL
+
+
+def test_whole_frames_during_a_try_begin_anew():
+    follower, states = PathFollower(NEEDS), []
+    for turn in range(40):
+        # Datagrams wait, and more is tried later; then the other end reads whole frames only.
+        late_ms = 20 + 100 * (5 <= turn < 8 or turn >= 25)
+        sent = 25_000 * turn
+        report = PathReport(100_000 * turn, sent // 2, 100 * turn, 100 * turn, late_ms * 1000)
+        follower.handle_report(report, sent, turn * 100 * MS, compact=turn < 25)
+        states.append(follower.allowed.state)
+    assert states[8] == "fewer pictures" and "too slow" == states[-1] != states[24]
