@@ -59,9 +59,11 @@ def assert_snapshots(shots):
     for kind in ("space-uplink_video", "ground-downlink_video", "ground-stereo"):
         of_kind = [picture for name, picture in pictures.items() if name.startswith(kind)]
         assert of_kind, kind
+        # Neither one colour, nor the grey of a decoder without a reference picture.
+        assert max(picture.std() for picture in of_kind) > 15, kind
         for picture in of_kind:
-            # Neither one colour, nor the grey of a decoder without a reference picture.
-            assert picture.std() > 15 and len(np.unique(picture)) > 100, kind
+            # For 0.2 s after a cut it comes into focus: the head's, softened by 8 pixels, has 13.8.
+            assert picture.std() > 13 and len(np.unique(picture)) > 100, kind
     halves = [name for name in pictures if name.endswith("-left-half.png")]
     assert halves
     for name in halves:

@@ -16,7 +16,7 @@ LOST = 'delay_ms = 10.0\n[[blackouts]]\nstart_s = 6.0\nseconds = 2.0\ndirection 
 #: By name: what the radio file says, or options; and seconds.
 SCENES = {
     "clean": ("delay_ms = 10.0\n", 8),
-    "losses": (LOSSES, 10),
+    "losses": (LOSSES, 14),
     "lost uplink": (LOST, 11),
     "end of a pass": (("--radio", "iss-pass", "--radio-start", "584"), 14),
 }
@@ -81,7 +81,7 @@ def test_a_live_session_and_its_twin_come_to_the_same(tmp_path, scene):
     twin = json.loads(path.read_text())
     with RunningSession("spacejustin", *words, directory=tmp_path) as session:
         live_code, live = session.end()
-    assert live_code == code
+    assert live_code == code, live["failures"]
     compare = in_order if stalled(live) else operator.eq
     live_events, twin_events = events(live), events(twin)
     differing = [what for what in twin_events if not compare(live_events[what], twin_events[what])]
