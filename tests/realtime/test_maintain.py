@@ -85,7 +85,7 @@ def test_beside_a_session_it_waits_for_contact_and_does_nothing_in_an_experiment
         answer = session.ask("trainer", *exercise.split())
         assert answer.returncode == 0, answer.stderr
     assert session.ask("trainer", "end").returncode == 0
-    assert session.ask("trainer", "los", "2").returncode == 0
+    assert session.ask("trainer", "los", "5").returncode == 0
     answer, lines = maintain("wait 0.5\nwait contact\ntc robot ping\n")
     assert answer.returncode == 0, answer.stderr
     assert [one["state"] for one in lines if one["what"] == "contact"][-1] == "contact"
