@@ -128,7 +128,8 @@ class Ends:
         if now_ms >= self.press_until:
             self.pressed = not self.pressed
             if self.pressed:
-                self.presses.append(now_ms)
+                # The device hears of it with the hand's next input.
+                self.presses.append(now_ms + -now_ms % 4)
             else:
                 self.released_ms = now_ms
             held = self.random.uniform(800, 3000), self.random.uniform(50, 500)
