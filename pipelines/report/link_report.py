@@ -225,6 +225,9 @@ def peer_words(metrics: PeerMetrics) -> str:
     if dropped:
         reason = max(metrics.dropped, key=lambda name: metrics.dropped[name])
         words += f", {dropped} datagrams dropped (most: {reason})"
+    if metrics.path_state != "all":
+        cap = f"video at most {metrics.video_cap_bps / 1000:.0f} kbit/s"
+        words += f", {metrics.path_state}, {cap}: {metrics.path_why}"
     return words if metrics.protected else f"NOT PROTECTED, {words}"
 
 

@@ -17,8 +17,8 @@ class RepairDecoder:
     """Call `handle_zone` or `handle_lost` for every slot, in order; `restart` before a gap.
 
     lost: counts of the slots that may still be restored, oldest first. A slot is given up when it
-    is older than the window. Without one, `note` with pointer and zone does for `handle_zone`;
-    else `append` does for what is no repair zone.
+    is older than the window. While `lost` is empty, `note` is enough for a slot with packets. While
+    it is not, `append` is enough for a slot with packets, and for a lost one.
     """
 
     def __init__(self, profile: LinkProfile) -> None:
@@ -78,7 +78,7 @@ class RepairDecoder:
         return restored
 
     def append(self, count: int, content: Content | None) -> None:
-        """Take a slot that is no repair zone; None: lost."""
+        """Take a slot with packets, as its pointer and zone; None for a lost slot."""
         self.note(content)
         while (oldest := next(iter(self.lost), count)) <= count - WINDOW:
             self.given_up += 1

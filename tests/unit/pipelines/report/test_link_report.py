@@ -20,6 +20,7 @@ from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.link.gateway import Gateway
+from telepresence.link.link_metrics import PeerMetrics
 
 SETUP = BUILT_IN["taskboard"]
 ENDS = list(Segment)
@@ -163,3 +164,12 @@ def test_the_arithmetic_of_a_direction_adds_up_to_its_capacity(setup):
         lines = link_report.link_metrics(Collector(topology_of(setup)), direction).arithmetic
         assert sum(line.bps for line in lines) == profile.media_bps
         assert (lines[-1].what, lines[-1].bps > 0) == ("spare", True)
+
+
+def test_a_path_that_carries_less_is_in_the_line_of_the_path():
+    counts = dict.fromkeys(("address_changes", "sent", "unsent", "taken"), 0)
+    slow = {"path_state": "lower caps", "path_why": "records wait 80 ms", "video_cap_bps": 43_400}
+    more = {**counts, **slow, "dropped": {}, "events": []}
+    peer = PeerMetrics(begun_ns=0, protected=True, address="192.0.2.1:1", session_ns=1, **more)
+    words = "path 192.0.2.1:1, lower caps, video at most 43 kbit/s: records wait 80 ms"
+    assert link_report.peer_words(peer) == words
