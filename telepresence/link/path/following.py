@@ -189,7 +189,7 @@ class PathFollower:
 
     def __init__(self, needs: PathNeeds) -> None:
         self.needs = needs
-        self.allowed, self.why = ALL, ""
+        self.allowed, self._why = ALL, ""
         self.path_bps = self.queue_ns = 0
         self.loss = self._usual = 0.0
         self._fixed = [ALL, _TOO_SLOW]
@@ -208,6 +208,10 @@ class PathFollower:
         self._rising = False
         self._tried = self._tried_ns = 0
         self._raised_ns = -_TRY_NS
+
+    @property
+    def why(self) -> str:
+        return self._why if self._level else ""
 
     def handle_report(
         self, report: PathReport, octets_sent: int, now_ns: int, *, compact: bool
@@ -306,7 +310,7 @@ class PathFollower:
         self._go(min(level, last), now_ns, _TRY_NS)
         waits = f"records wait {self.queue_ns // NS_PER_MS} ms, and"
         why = f"{waits} {self.path_bps // 1000} kbit/s of {sent_bps // 1000} arrive"
-        self.why = _FIXED if self._levels is self._fixed else why
+        self._why = _FIXED if self._levels is self._fixed else why
 
     def _go(self, level: int, now_ns: int, try_ns: int) -> None:
         """Down to this level. More is tried after `try_ns`."""
@@ -322,13 +326,12 @@ class PathFollower:
         self._raise_ns = now_ns + (_NEXT_NS if self._rising else _TRY_NS)
         self._rising = True
         self.allowed = self._levels[self._level]
-        self.why = self.why if self._level else ""
 
     def _use(self, compact: bool) -> None:
         levels = self._compact if compact else self._fixed
         if levels is not self._levels:
             self._levels, self._level, self._raised_ns = levels, 0, -_TRY_NS
-            self.allowed, self.why = ALL, ""
+            self.allowed = ALL
 
 
 def _levels(needs: PathNeeds) -> tuple[list[Allowed], list[int]]:

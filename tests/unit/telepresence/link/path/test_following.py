@@ -219,6 +219,7 @@ def test_the_longer_a_path_stays_slow_the_rarer_are_tries_which_cost_key_picture
         late_us = 20_000 + int(waiting / passes * 100_000)
         report = PathReport(turn * 100_000, sent - int(waiting / 8), 100 * turn, 100 * turn, late_us)
         follower.handle_report(report, sent, now_ns, compact=True)
+        assert bool(follower.why) is (follower.allowed != ALL)
         if follower.allowed.cap_parts > before:
             tries.append(turn // 10)
     assert sum(second < 30 for second in tries) > 5
