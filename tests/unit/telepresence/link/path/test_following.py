@@ -217,7 +217,8 @@ def test_the_longer_a_path_stays_slow_the_rarer_are_tries_which_cost_key_picture
         passes = 150_000 if turn > 50 else 1_000_000
         waiting, sent = max(0.0, waiting + bits - passes), sent + bits // 8
         late_us = 20_000 + int(waiting / passes * 100_000)
-        report = PathReport(turn * 100_000, sent - int(waiting / 8), 100 * turn, 100 * turn, late_us)
+        came, octets = 100 * turn, sent - int(waiting / 8)
+        report = PathReport(1000 * came, octets, came, came, late_us)
         follower.handle_report(report, sent, now_ns, compact=True)
         assert bool(follower.why) is (follower.allowed != ALL)
         if follower.allowed.cap_parts > before:
