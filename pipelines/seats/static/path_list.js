@@ -40,12 +40,14 @@ export function pathSays(figures) {
     if (state === null) continue;
     // Nothing is measured without protection, and by an older version.
     const measured = Number(of("path_bps")) > 0;
-    const texts = [rateText(of("path_bps")), `${(100 * Number(of("path_loss"))).toFixed(1)} %`, rateText(of("video_cap_bps"))];
+    const loss = `${(100 * Number(of("path_loss"))).toFixed(1)} %`;
+    const waits = millisecondsText(Number(of("order_budget_ns")) / 1e6);
+    const texts = [rateText(of("path_bps")), loss, rateText(of("video_cap_bps")), waits];
     return {
       peer,
       state: measured ? String(state) : "not measured",
       why: String(of("path_why") ?? ""),
-      texts: [...texts.map((text) => (measured ? text : NOTHING)), millisecondsText(Number(of("order_budget_ns")) / 1e6)],
+      texts: texts.map((text) => (measured ? text : NOTHING)),
     };
   }
   return null;

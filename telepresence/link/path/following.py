@@ -166,8 +166,9 @@ _SETTLES_NS = 300 * NS_PER_MS
 _DRAINS_NS = 5 * NS_PER_MS
 #: A little more is tried after this time, and watched for as long.
 _TRY_NS = NS_PER_S
-#: A try costs two key pictures. If it failed, the next one comes after this share of the time for
-#: which the path has been slow: at least twice `_TRY_NS`, and at most this.
+#: A try makes records wait, and with HEVC costs two key pictures. If it failed, the next one comes
+#: after this share of the time for which the path has been slow: at least twice `_TRY_NS`, and at
+#: most this.
 _AGAIN_SHARE, _MOST_AGAIN_NS = 8, 30 * NS_PER_S
 #: When the first step passes, so many follow at once, after this time each.
 _NEXT, _NEXT_NS = 3, 400 * NS_PER_MS
