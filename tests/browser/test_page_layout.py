@@ -161,8 +161,7 @@ def metrics_of(*, connected):
         for end in ("ground", "space")
         for key, value in supervised.items()
     }
-    path = {"state": "fewer pictures", "bps": 812_000, "queue_ns": 80_000_000, "loss": 0.0123}
-    path |= {"why": "records wait 1234 ms, and 812 kbit/s of 1234 arrive"}
+    path = {"state": "fewer pictures", "bps": 812_000, "why": "records wait 1234 ms, and " * 2}
     metrics |= {f"gateways.space.peer.path_{key}": value for key, value in path.items()}
     metrics |= {
         "contact.since_acquisition_s": 101.0,
