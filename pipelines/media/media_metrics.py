@@ -77,6 +77,20 @@ class SelectorMetrics:
     switches: int = 0
     #: The selected camera.
     selected: str | None = None
+    #: Where a person wants the picture finest: X,Y,WIDTH,HEIGHT as shares of it, or `off`.
+    focus: str | None = None
+    #: From which end that was asked for last: `space`, `ground`; or why it was taken away.
+    focus_by: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FocusMetrics:
+    """Where the uplink's picture is coded finer."""
+
+    #: Pictures with a part that was coded finer.
+    focused: int = 0
+    #: That part of the newest picture: X,Y,WIDTH,HEIGHT as shares of it, or `off`.
+    in_focus: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
+from pipelines.media.media_metrics import SelectorMetrics
 from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
@@ -50,6 +51,7 @@ class EventLog:
         self._task_told = 0, 0
         self._pass_s: float | None = None
         self._camera = collector.setup.cameras[0] if collector.setup.cameras else ""
+        self._focus = "off"
         self._restarts: dict[str, int] = {}
         #: By process that does not do its work: why, as it was told.
         self._troubled: dict[str, str] = {}
@@ -76,7 +78,7 @@ class EventLog:
             *self._recorded(),
             *self._tasks(now_ns),
             *self._passes(started_ns, now_ns),
-            *self._cameras(),
+            *self._cameras(now_ns),
             *self._restarted(processes, now_ns),
             *self._joysticks(now_ns),
             *self._robots(now_ns),
@@ -185,11 +187,15 @@ class EventLog:
             if before_s is not None and before_s < at_s <= pass_s:
                 yield started_ns + round((at_s - start_s) * NS_PER_S), "link", text
 
-    def _cameras(self) -> Iterator[tuple[int, str, str]]:
+    def _cameras(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
         selector = self._collector.process("selector")
         if selector.selected not in (None, self._camera):
             self._camera = selector.selected
             yield selector.selected_ns, "camera", f"camera {self._camera} selected"
+        told = selector.total(SelectorMetrics)
+        if told.focus not in (None, self._focus):
+            self._focus = told.focus
+            yield now_ns, "camera", f"focus {self._focus}: asked by {told.focus_by}"
 
     def _restarted(
         self, processes: Sequence[ProcessNow], now_ns: int

@@ -10,7 +10,7 @@ from coding_loop import CAP_BPS, FPS, SHARE_OCTETS, decode, encode, enlarged, oc
 from common import psnr_db
 
 from kontur_av.codecs.h26x import H264Encoder
-from kontur_av.codecs.region import Region, Sharpening
+from kontur_av.codecs.region import Focus, Region, Sharpening
 from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture, planes
 
@@ -69,6 +69,8 @@ def test_what_cannot_be_a_region_is_refused():
         Region(0, 0, 0, 96)
     with pytest.raises(ConfigError, match="finer by 12 steps: take 1 to 9"):
         Region(0, 0, 96, 96, steps=12)
+    with pytest.raises(ConfigError, match=r"focus 0,0,2,1: give X,Y,WIDTH,HEIGHT"):
+        Focus(0, 0, 2, 1)
     with pytest.raises(ValueError, match="without regions"):
         encode([empty_picture(320, 240)], region=MIDDLE)
 

@@ -5,9 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from common import free_port
+from common import eventually, free_port
 
 import kontur_av as av
+from kontur_av.codecs.h26x import H264Encoder
+from kontur_av.codecs.region import Region
 from kontur_av.streams import ends
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
@@ -50,6 +52,23 @@ def test_what_is_no_picture_or_no_block_is_refused():
         end.send(GREY)
     with av.SoundSender(HERE, cap_bps=24_000) as end, pytest.raises(av.ConfigError, match="int16"):
         end.send(np.zeros(480, np.int16))
+
+
+def test_a_focus_reaches_the_encoder(monkeypatch):
+    regions, encode = [], H264Encoder.encode
+
+    def noted(self, frame, *coding, region=None):
+        regions.append(region)
+        return encode(self, frame, *coding, region=region)
+
+    monkeypatch.setattr(H264Encoder, "encode", noted)
+    with pictures() as end:
+        end.focus(0.25, 0.25, 0.5, 0.5)
+        end.send(GREY)
+        eventually(lambda: regions[-1:] == [Region(32, 24, 64, 48)], "a region")
+        end.focus(0, 0, 0, 0)
+        end.send(GREY)
+        eventually(lambda: regions[-1:] == [None], "no region")
 
 
 @pytest.mark.rule("6")

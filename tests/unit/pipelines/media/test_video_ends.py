@@ -9,6 +9,7 @@ from rtp_packets import make_sender
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.codecs.h26x import encoder_of
+from kontur_av.codecs.region import Focus
 from kontur_av.media import VIDEO_CODECS, AccessUnit, CaptureStamp, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.media.following import Choice
@@ -66,6 +67,7 @@ def test_a_sender_that_follows_numbers_what_it_encodes_and_leaves_a_camera_befor
         now_ns += MS
         end.handle_time(now_ns)
     assert (work.picture, work.stamp.sequence, work.region is None) == (9, 1, False)
+    assert not end.handle_choice(Choice(3, "head", Focus(0, 0, 0.5, 0.5))) and end.focus.person
     end.handle_picture(10, CaptureStamp(now_ns, 2, "head"), now_ns)
     end.drop()
     assert released == [7, 10]

@@ -108,10 +108,12 @@ def test_a_camera_a_restart_and_the_joystick_are_told_once_each(session):
 
     session.told("selector", SelectorMetrics(selected="stereo"))
     assert session.look(1, robot(0)) == []
-    session.told("selector", SelectorMetrics(selected="static"), at_s=1.7)
+    focused = SelectorMetrics(selected="static", focus="0,0,1,1", focus_by="space")
+    session.told("selector", focused, at_s=1.7)
     killed = robot(1, "ended by SIGKILL")
     assert session.look(2, killed) == [
         (1_700_000, "camera", "camera static selected"),
+        (2_000_000, "camera", "focus 0,0,1,1: asked by space"),
         (2_000_000, "process", "robot was started again: ended by SIGKILL"),
     ]
     assert session.look(2.5, killed) == []

@@ -5,6 +5,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS as MS
 from kontur_av.errors import ConfigError
+from kontur_av.media import Tip
 from telepresence.haptics.axes import AxisCapabilities, AxisReading
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
@@ -212,6 +213,12 @@ def test_power_that_cannot_be_taken_is_said():
 
 
 def test_numbers_of_numpy_drive_it(arm):
+    assert DrivenRobot(arm).tips() == {}
+    arm.tips = lambda: {"wrist": np.array([0.4, 0.5])}
+    assert DrivenRobot(arm).tips() == {"wrist": Tip(0.4, 0.5)}
+    arm.tips = lambda: {"wrist": "here"}
+    blind = DrivenRobot(arm)
+    assert blind.tips() == {} and blind.error.startswith("tips() returned 'here'")
     numbers = np.array([0.01, 0.02, 0.0, 0.0])
     arm.reading = RobotReading(*numbers, contact=np.bool_(False))
     robot = DrivenRobot(arm)
