@@ -117,7 +117,7 @@ class VideoEncoder:
         # A stream in its full size keeps it, because not every receiver can scale.
         self._cuts = Cuts() if coded_size is None and coded != (width, height) else None
         self._sharpening = Sharpening() if self._sharpens and self._cuts is not None else None
-        self._regions = regions
+        self._regions, self._quantiser = regions, 0.0
         self._sizes = sizes_around(width, height, coded, self.codec)
         self.largest_size = self._sizes[-1] if self._cuts is not None else coded
         self._choice = SizeChoice(
@@ -201,11 +201,12 @@ class VideoEncoder:
         packet = self._give(data, parts, force_keyframe=force_keyframe)
         if self._sharpening is not None:
             self._sharpening.handle_unit(packet.size / self._share_octets)
-        if self._cuts is not None and not self._cuts.restless:
-            quantiser, loss_by_coding = self._quantiser_and_loss(packet)
-            self._choice.handle_unit(
-                quantiser, packet.size / self._share_octets, loss_by_coding, loss
-            )
+        if self._regions or self._cuts is not None:
+            self._quantiser, loss_by_coding = self._quantiser_and_loss(packet)
+            if self._cuts is not None and not self._cuts.restless:
+                self._choice.handle_unit(
+                    self._quantiser, packet.size / self._share_octets, loss_by_coding, loss
+                )
         self.encoded += 1
         octets, keyframe = self._finished(packet)
         return AccessUnit(octets, frame.stamp, keyframe, self.codec)
@@ -295,8 +296,8 @@ class VideoEncoder:
         parts: list[_Part] = []
         if region is not None:
             blocks = region.in_blocks((self.width, self.height), (width, height))
-            if blocks is not None:
-                parts.append((blocks, region.steps))
+            if blocks is not None and (steps := region.steps_after(self._quantiser)):
+                parts.append((blocks, steps))
         # Where cuts come fast, pictures are replaced before they are sharp.
         if self._sharpening is None or self._cuts is None or self._cuts.restless:
             return parts

@@ -14,6 +14,9 @@ from kontur_av.errors import ConfigError
 _BLOCK = 16
 #: The most quantiser steps. At 12 the pictures become late (docs/experiments/video.md).
 MOST_STEPS = 9
+#: After a picture of this mean quantiser a region has no steps, and one more for each below. Else
+#: the rest cannot become coarser, and pictures are late.
+_COARSE = 48
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +34,17 @@ class Region:
     top: int
     width: int
     height: int
-    steps: int = 8
+    steps: int = 9
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise ConfigError(f"region of {self.width}x{self.height} pixels: take at least 1x1")
         if not 1 <= self.steps <= MOST_STEPS:
             raise ConfigError(f"region finer by {self.steps} steps: take 1 to {MOST_STEPS}")
+
+    def steps_after(self, quantiser: float) -> int:
+        """Return how many steps there are after a picture of this mean quantiser, from 0 on."""
+        return max(min(self.steps, round(_COARSE - quantiser)), 0)
 
     def in_blocks(
         self, full: tuple[int, int], coded: tuple[int, int]

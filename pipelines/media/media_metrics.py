@@ -7,6 +7,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import VideoCodec
 from kontur_av.metrics import Most, Newest
 from kontur_av.streams.staleness import State
+from pipelines.session.session_metrics import DatedEvent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,8 +80,8 @@ class SelectorMetrics:
     selected: str | None = None
     #: Where a person wants the picture finest: X,Y,WIDTH,HEIGHT as shares of it, or `off`.
     focus: str | None = None
-    #: From which end that was asked for last: `space`, `ground`; or why it was taken away.
-    focus_by: str | None = None
+    #: When it changed, and which end asked for it: the newest 200.
+    focuses: tuple[DatedEvent, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,12 +9,15 @@ from pipelines.media.following import AGAIN_NS, Choice
 from pipelines.media.media_metrics import SelectorMetrics
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, RaiseEvent, SetValues
 from pipelines.session.probe import Probe
+from pipelines.session.session_metrics import DatedEvent
 
 CAMERA = "camera"
 SELECT, FOCUS = "select", "focus"
 _SUPERSEDED = "a later request came"
 #: Telecommands that wait for the sender; beyond this the oldest is never completed by it.
 _MOST_OPEN = 16
+#: Changes of the focus that the report has.
+_MOST_KEPT = 200
 
 
 class CameraChoice:
@@ -42,7 +45,7 @@ class CameraChoice:
         camera, _, focus = kept.partition(" ")
         self.selected = camera if camera in cameras else cameras[0]
         self.focus = Focus.parse(focus or "off")
-        self._focus_by = ""
+        self._focuses: deque[DatedEvent] = deque(maxlen=_MOST_KEPT)
         self._switches = 0
         #: The clock never goes back: a restarted selector's first number is above all before.
         self._number = now_ns
@@ -83,9 +86,7 @@ class CameraChoice:
             self._answer(self._open.popleft(), _SUPERSEDED)
         self.selected = name
         self._switches += 1
-        if self.focus is not None:
-            self.focus, self._focus_by = None, "another camera"
-        self._renumber(now_ns)
+        self._turn_to(None, f"camera {name}", now_ns)
         return True
 
     def _handle_focus(self, asked: FunctionAsked, now_ns: int) -> bool:
@@ -96,14 +97,17 @@ class CameraChoice:
             return False
         changed = focus != self.focus
         if changed:
-            self.focus, self._focus_by = focus, asked.origin
-            self._renumber(now_ns)
+            self._turn_to(focus, f"asked from {asked.origin}", now_ns)
         self._open.append(asked)
         self._complete()
         return changed
 
-    def _renumber(self, now_ns: int) -> None:
-        """The choice is another one."""
+    def _turn_to(self, focus: Focus | None, why: str, now_ns: int) -> None:
+        """The choice is another one, with this focus."""
+        if focus != self.focus:
+            self.focus = focus
+            words = f"focus {focus or 'off'}: {why}"
+            self._focuses.append(DatedEvent(at_ns=now_ns, what=words))
         self._number = max(now_ns, self._number + 1)
         self._told_ns = None
 
@@ -149,6 +153,6 @@ class CameraChoice:
                 selected=self.selected,
                 switches=self._switches,
                 focus=str(self.focus or "off"),
-                focus_by=self._focus_by or None,
+                focuses=tuple(self._focuses),
             )
         )

@@ -51,7 +51,6 @@ class EventLog:
         self._task_told = 0, 0
         self._pass_s: float | None = None
         self._camera = collector.setup.cameras[0] if collector.setup.cameras else ""
-        self._focus = "off"
         self._restarts: dict[str, int] = {}
         #: By process that does not do its work: why, as it was told.
         self._troubled: dict[str, str] = {}
@@ -78,7 +77,7 @@ class EventLog:
             *self._recorded(),
             *self._tasks(now_ns),
             *self._passes(started_ns, now_ns),
-            *self._cameras(now_ns),
+            *self._cameras(),
             *self._restarted(processes, now_ns),
             *self._joysticks(now_ns),
             *self._robots(now_ns),
@@ -123,6 +122,7 @@ class EventLog:
         process = self._collector.process
         arm = process("robot").find(AuthorityMetrics)
         yield from self._dated("trainer", process(TRAINER).total(TrainerMetrics).exercises)
+        yield from self._dated("camera", process("selector").total(SelectorMetrics).focuses)
         yield from self._dated("robot", () if arm is None else arm.events)
         yield from self._dated("robot", process("robot").total(SafetyMetrics).events, "stop")
         # Events of users' components in telemetry, and their faults.
@@ -187,15 +187,11 @@ class EventLog:
             if before_s is not None and before_s < at_s <= pass_s:
                 yield started_ns + round((at_s - start_s) * NS_PER_S), "link", text
 
-    def _cameras(self, now_ns: int) -> Iterator[tuple[int, str, str]]:
+    def _cameras(self) -> Iterator[tuple[int, str, str]]:
         selector = self._collector.process("selector")
         if selector.selected not in (None, self._camera):
             self._camera = selector.selected
             yield selector.selected_ns, "camera", f"camera {self._camera} selected"
-        told = selector.total(SelectorMetrics)
-        if told.focus not in (None, self._focus):
-            self._focus = told.focus
-            yield now_ns, "camera", f"focus {self._focus}: asked by {told.focus_by}"
 
     def _restarted(
         self, processes: Sequence[ProcessNow], now_ns: int

@@ -98,8 +98,9 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     report = session.finish(silent=True, clean=True, sound=True)
     assert_all_six_flowed(report)
     selector, sender = (report["processes"][one] for one in ("selector", "uplink_video_send"))
-    assert selector["selected"] == "head" and selector["focus_by"] == "space"
+    assert selector["selected"] == "head"
     assert sender["in_focus"] == selector["focus"] == "0.4,0.3,0.2,0.25"
+    assert [one["what"] for one in report["focus"]] == ["focus 0.4,0.3,0.2,0.25: asked from space"]
     assert report["link"]["downlink"]["packets"]["telecommand"] >= 2
     counts = report["processes"]["console"]["counts"]
     assert (counts["pus_executed"], counts["pus_failed"], counts["pus_garbage"]) == (1, 1, 0)

@@ -21,7 +21,7 @@ class FocusFrame extends HTMLElement {
   #words = make("span", { class: "small", role: "status" });
   #choose = make("button", { type: "button" }, "Focus");
   #off = make("button", { type: "button", "aria-label": "No focus" }, "✕");
-  #tools = make("div", { class: "focus-tools" }, this.#words, this.#choose, this.#off);
+  #tools = make("div", { class: "focus-tools" }, this.#choose, this.#off, this.#words);
   /** @type {Seat | null} */
   #seat = null;
   #armed = false;
