@@ -7,13 +7,11 @@ channel. Every wave begins with parameter sets and a recovery point SEI for late
 
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import av
-import av.filter
 import numpy as np
-from av.video.frame import PictureType
 
+from kontur_av.codecs.av_encoder import BLOCK, CodedPicture, Part
 from kontur_av.codecs.coding import (
     REFRESH_S,
     Coding,
@@ -26,8 +24,6 @@ from kontur_av.codecs.region import COLUMN_STEPS, Region, Sharpening
 from kontur_av.codecs.sizing import Cuts, SizeChoice
 from kontur_av.errors import ConfigError
 from kontur_av.media import (
-    I420,
-    VIDEO_CLOCK_HZ,
     AccessUnit,
     VideoCodec,
     VideoFrame,
@@ -43,14 +39,6 @@ _SOFT_GROWN = (8.0, 5.6, 3.9, 2.7, 1.9, 1.3, 0.9)
 #: With waves that come faster than this, pictures are coded one size smaller, and not above the
 #: usual size.
 _FAST_REFRESH_S = 3.0
-
-#: The side of a macroblock, in pixels.
-_BLOCK = 16
-#: FFmpeg takes a region's offset as a share of the quantiser's range.
-_QUANTISERS = 51
-
-#: (left, top, width, height) in pixels of the coded picture, and how many steps finer it is.
-_Part = tuple[tuple[int, int, int, int], int]
 
 _LIKE_BEFORE = Coding()
 
@@ -135,7 +123,6 @@ class VideoEncoder:
             search=search,
             regions=regions or self._sharpening is not None,
         )
-        self._marker: _Marker | None = None
         self._follow_refresh()
         self._begin()
 
@@ -196,28 +183,29 @@ class VideoEncoder:
         if self._given == 0:
             # The library predicts sizes from earlier pictures. Without any it spends a fifth of
             # the budget. So the first picture is coded twice, and the second result is sent.
-            self._give(data, parts, force_keyframe=True)
+            self._codec.encode(data, 0, parts, keyframe=True)
+            self._given = 1
             force_keyframe = True
-        packet = self._give(data, parts, force_keyframe=force_keyframe)
+        coded = self._codec.encode(data, self._given, parts, keyframe=force_keyframe)
+        self._given += 1
+        shares = len(coded.data) / self._share_octets
         if self._sharpening is not None:
-            self._sharpening.handle_unit(packet.size / self._share_octets)
-        if self._regions or self._cuts is not None:
-            self._quantiser, loss_by_coding = self._quantiser_and_loss(packet)
-            if self._cuts is not None and not self._cuts.restless:
-                self._choice.handle_unit(
-                    self._quantiser, packet.size / self._share_octets, loss_by_coding, loss
-                )
+            self._sharpening.handle_unit(shares)
+        if self._cuts is not None and not self._cuts.restless:
+            self._choice.handle_unit(coded.quantiser, shares, self._coding_loss(coded), loss)
+        self._quantiser = coded.quantiser
         self.encoded += 1
-        octets, keyframe = self._finished(packet)
+        octets, keyframe = self._finished(coded)
         return AccessUnit(octets, frame.stamp, keyframe, self.codec)
 
-    def _finished(self, packet: Any) -> tuple[bytes, bool]:
-        """Return the access unit of a packet, and whether every decoder can start at it."""
+    def _finished(self, coded: CodedPicture) -> tuple[bytes, bool]:
+        """Return an access unit, and whether every decoder can start at it."""
         raise NotImplementedError
 
-    def _quantiser_and_loss(self, packet: Any) -> tuple[float, float]:
-        """Return the mean quantiser, and the mean squared error of the luma by coding."""
-        raise NotImplementedError
+    def _coding_loss(self, coded: CodedPicture) -> float:
+        """Return the mean squared error of the luma by coding."""
+        width, height = self.unit_size
+        return coded.squares / (width * height)
 
     def _soft_pixels(self, force_keyframe: bool) -> float:
         """Return how much to soften this picture, in pixels of its coded size; 0: not at all."""
@@ -229,7 +217,9 @@ class VideoEncoder:
         return _SOFT_AWAITED if awaited and not self._settings.punctual else 0.0
 
     def _follow(self, coding: Coding) -> None:
-        """Open a new encoder if `coding` changes rate, refresh or cap; the coded size stays."""
+        """Open a new encoder if `coding` changes rate or refresh, or the cap and the present one
+        cannot follow; the coded size stays.
+        """
         _, rate_hz, refresh_s, cap_bps = coding
         if rate_hz is None and refresh_s is None and cap_bps is None:
             return
@@ -241,6 +231,10 @@ class VideoEncoder:
             self._follow_refresh()
         if cap_bps is not None:
             self._settings = replace(self._settings, cap_bps=cap_bps)
+            if rate_hz is None and refresh_s is None:
+                self._share_octets = float(cap_bps / 8 / self._settings.rate)
+                if self._codec.follow(self._settings.options()):
+                    return
         self._begin()
 
     def _follow_refresh(self) -> None:
@@ -271,72 +265,23 @@ class VideoEncoder:
         self._given = 0
         self._codec = self._settings.open()
         self._share_octets = float(self._settings.cap_bps / 8 / self._settings.rate)
-        # Integers, because a product of fractions takes longer than all else around the encoder.
-        self._ticks = (Fraction(VIDEO_CLOCK_HZ) / self._settings.rate).as_integer_ratio()
 
-    def _give(self, data: I420, parts: list[_Part], *, force_keyframe: bool) -> Any:
-        picture = av.VideoFrame.from_numpy_buffer(data, "yuv420p")
-        ticks, per = self._ticks
-        picture.pts = self._given * ticks // per
-        if force_keyframe:
-            picture.pict_type = PictureType.I
-        if parts:
-            wanted = self.unit_size, parts
-            if self._marker is None or self._marker.wanted != wanted:
-                self._marker = _Marker(*wanted)
-            picture = self._marker.mark(picture)
-        (packet,) = self._codec.encode(picture)
-        self._given += 1
-        return packet
-
-    def _finer_parts(self, region: Region | None, *, anew: bool) -> list[_Part]:
+    def _finer_parts(self, region: Region | None, *, anew: bool) -> list[Part]:
         """Return the parts to code finer; anew: the picture cannot use the one before."""
         width, height = self.unit_size
         # Where parts overlap, the first one counts.
-        parts: list[_Part] = []
+        parts: list[Part] = []
         if region is not None:
             blocks = region.in_blocks((self.width, self.height), (width, height))
             if blocks is not None and (steps := region.steps_after(self._quantiser)):
-                parts.append((blocks, steps))
+                parts.append(Part(*blocks, steps))
         # Where cuts come fast, pictures are replaced before they are sharp.
         if self._sharpening is None or self._cuts is None or self._cuts.restless:
             return parts
         if anew:
-            self._sharpening.begin(-(-width // _BLOCK))
+            self._sharpening.begin(-(-width // BLOCK))
         elif (columns := self._sharpening.next_columns()) is not None:
             first, count = columns
-            left, right = first * _BLOCK, min((first + count) * _BLOCK, width)
-            parts.append(((left, 0, right - left, height), COLUMN_STEPS))
+            left, right = first * BLOCK, min((first + count) * BLOCK, width)
+            parts.append(Part(left, 0, right - left, height, COLUMN_STEPS))
         return parts
-
-
-class _Marker:
-    """Marks parts of pictures of one size by FFmpeg's filter `addroi`.
-
-    PyAV cannot set this side data itself. The filter takes no commands, so other parts need a new
-    graph, which takes 0.3 ms. A region of whole macroblocks changes seldom; columns change with
-    each picture.
-    """
-
-    def __init__(self, coded: tuple[int, int], parts: list[_Part]) -> None:
-        self.wanted = coded, parts
-        graph = av.filter.Graph()
-        graph.threads = 1
-        entry = graph.add_buffer(
-            width=coded[0],
-            height=coded[1],
-            format=av.VideoFormat("yuv420p"),
-            time_base=Fraction(1, VIDEO_CLOCK_HZ),
-        )
-        marks = [
-            graph.add("addroi", f"x={x}:y={y}:w={w}:h={h}:qoffset=-{steps}/{_QUANTISERS}")
-            for (x, y, w, h), steps in parts
-        ]
-        graph.link_nodes(entry, *marks, graph.add("buffersink")).configure()
-        self._graph = graph
-
-    def mark(self, picture: av.VideoFrame) -> av.VideoFrame:
-        """Return the picture with its region; the pixels are not copied."""
-        picture.time_base = Fraction(1, VIDEO_CLOCK_HZ)
-        self._graph.vpush(picture)
-        return self._graph.vpull()

@@ -1,4 +1,4 @@
-"""The settings of encoders for a thin channel: libx264's and libx265's options, by PyAV.
+"""The settings of encoders for a thin channel: libx264's and libx265's options, as of FFmpeg.
 
 docs/experiments/video.md lists what was tried, and the gain of each.
 """
@@ -6,16 +6,11 @@ docs/experiments/video.md lists what was tried, and the gain of each.
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil
-from typing import Any, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
-import av
-from av.codec.context import Flags
-from av.video.codeccontext import VideoCodecContext
-
+from kontur_av.codecs import x264
+from kontur_av.codecs.av_encoder import AvEncoder, OpenEncoder
 from kontur_av.codecs.coding import BITS_PER_MACROBLOCK, MACROBLOCK
-from kontur_av.codecs.colours import tell_bt601
-from kontur_av.errors import ConfigError
-from kontur_av.media import VIDEO_CLOCK_HZ
 
 #: How long the encoder searches in large pictures. Small ones are always searched thoroughly.
 Search = Literal["quick", "thorough"]
@@ -62,30 +57,10 @@ class EncoderSettings:
         """Options of FFmpeg's `library`."""
         raise NotImplementedError
 
-    def open(self) -> VideoCodecContext:
+    def open(self) -> OpenEncoder:
         """Return an open encoder; ConfigError if there is none."""
-        try:
-            codec: Any = av.CodecContext.create(self.library, "w")
-        except (ValueError, av.FFmpegError) as error:
-            raise ConfigError(
-                f"this PyAV has no {self.library}: install PyAV from its wheel, which carries one"
-            ) from error
-        codec.width, codec.height, codec.pix_fmt = self.width, self.height, "yuv420p"
-        codec.framerate, codec.time_base = self.rate, Fraction(1, VIDEO_CLOCK_HZ)
-        codec.gop_size = self.refresh_pictures
-        tell_bt601(codec)
-        codec.thread_count = 1
-        codec.flags |= Flags.psnr  # for `VideoEncoder._quantiser_and_loss`
-        codec.options = options = self.options()
-        try:
-            codec.open()
-        except av.FFmpegError as error:
-            raise ConfigError(
-                f"{self.library} refuses {self.width}x{self.height} at {float(self.rate):g} Hz, "
-                f"preset {options['preset']!r}: {error}"
-            ) from error
-        opened: VideoCodecContext = codec
-        return opened
+        size, gop = (self.width, self.height), self.refresh_pictures
+        return AvEncoder(self.library, size, self.rate, gop, self.options())
 
 
 #: One slice: each slice has its own header and entropy contexts. No scene cut: a cut must not
@@ -146,6 +121,14 @@ class H264Settings(EncoderSettings):
     """Settings of x264 for pictures of this coded size and rate under this cap."""
 
     library: ClassVar[str] = "libx264"
+
+    def open(self) -> OpenEncoder:
+        """Return libx264 itself, or else PyAV's encoder."""
+        library = x264.found()
+        if library is None:
+            return super().open()
+        size, gop = (self.width, self.height), self.refresh_pictures
+        return x264.X264Encoder(library, size, self.rate, gop, self.options())
 
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's libx264."""

@@ -1,8 +1,8 @@
 """Pictures to access units of H.264 and HEVC, by libx264 and libx265 in PyAV; and H.264 back."""
 
-from struct import unpack_from
-from typing import Any, ClassVar
+from typing import ClassVar
 
+from kontur_av.codecs.av_encoder import CodedPicture
 from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import EncoderSettings, H264Settings, H265Settings
@@ -11,8 +11,6 @@ from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_formats import H264, H264_IDR, H264_SEI, H265, H265_PREFIX_SEI
 
 _SEI_USER_DATA_UNREGISTERED = 5
-#: FFmpeg's FF_QP2LAMBDA.
-_LAMBDA = 118
 
 
 class H264Encoder(VideoEncoder):
@@ -22,17 +20,12 @@ class H264Encoder(VideoEncoder):
     _settings_of: ClassVar[type[EncoderSettings]] = H264Settings
     _sharpens: ClassVar[bool] = True
 
-    def _finished(self, packet: Any) -> tuple[bytes, bool]:
-        if not packet.is_keyframe:
-            return bytes(packet), False
-        data = without_user_data(bytes(packet))
+    def _finished(self, coded: CodedPicture) -> tuple[bytes, bool]:
+        if not coded.flagged:
+            return coded.data, False
+        data = without_user_data(coded.data)
         # x264 also flags the first picture of a refresh wave, at which not every decoder can start.
         return data, any(H264.nal_type(nal) == H264_IDR for nal in split_annex_b(data))
-
-    def _quantiser_and_loss(self, packet: Any) -> tuple[float, float]:
-        quality, squares = unpack_from("=I4xQ", packet.get_sidedata("quality_stats"))
-        width, height = self.unit_size
-        return quality / _LAMBDA, squares / (width * height)
 
 
 class H264Decoder(VideoDecoder):
@@ -65,9 +58,8 @@ class H265Encoder(VideoEncoder):
     codec: ClassVar[VideoCodec] = "h265"
     _settings_of: ClassVar[type[EncoderSettings]] = H265Settings
 
-    def _finished(self, packet: Any) -> tuple[bytes, bool]:
-        data = bytes(packet)
-        nals = split_annex_b(data)
+    def _finished(self, coded: CodedPicture) -> tuple[bytes, bool]:
+        nals = split_annex_b(coded.data)
         kinds = [H265.nal_type(nal) for nal in nals]
         keyframe = not H265.keys.isdisjoint(kinds)
         if H265.sps in kinds and not keyframe:
@@ -76,11 +68,9 @@ class H265Encoder(VideoEncoder):
             nals.insert(slices, recovery_point(self.refresh_pictures - 1))
         return join_annex_b(nals), keyframe
 
-    def _quantiser_and_loss(self, packet: Any) -> tuple[float, float]:
-        (quality,) = unpack_from("=I", packet.get_sidedata("quality_stats"))
-        quantiser = quality / _LAMBDA
+    def _coding_loss(self, coded: CodedPicture) -> float:
         # x265 does not report the error, so estimate it from the quantiser.
-        return quantiser, _LOSS_PER_STEP * 2 ** ((quantiser - 4) / 6)
+        return _LOSS_PER_STEP * 2 ** ((coded.quantiser - 4) / 6)
 
 
 def recovery_point(pictures: int) -> bytes:

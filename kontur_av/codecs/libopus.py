@@ -7,20 +7,15 @@ often has none, but PyAV's wheel, which is needed anyway, contains a whole libop
 import ctypes
 import ctypes.util
 import importlib
-import importlib.util
 import sys
 import warnings
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
+from kontur_av.codecs.carried import carried_by_pyav
 from kontur_av.errors import ConfigError
-
-#: Folders of a wheel's libraries, relative to the `av` package: auditwheel and delvewheel put them
-#: beside it, delocate inside it.
-_PLACES = (("../av.libs", "*opus*.so*"), (".dylibs", "*opus*.dylib"), ("../av.libs", "*opus*.dll"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +50,7 @@ def load() -> LibOpus:
     Raises ConfigError, which names the fix, without a system libopus and PyAV's.
     """
     system = ctypes.util.find_library("opus")
-    carried = None if system else carried_by_pyav()
+    carried = None if system else carried_by_pyav("opus")
     path = system or (str(carried) if carried else None)
     if path is None:
         raise ConfigError(
@@ -65,18 +60,6 @@ def load() -> LibOpus:
     _import_with(path)
     version = sys.modules["opuslib.api.info"].get_version_string().decode()
     return LibOpus(path, "system" if system else "PyAV", version)
-
-
-def carried_by_pyav() -> Path | None:
-    """Return the libopus in PyAV's wheel; None if PyAV was built against the system's FFmpeg."""
-    spec = importlib.util.find_spec("av")
-    if spec is None or spec.origin is None:
-        return None
-    package = Path(spec.origin).parent
-    for folder, pattern in _PLACES:
-        for found in sorted((package / folder).glob(pattern)):
-            return found.resolve()
-    return None
 
 
 def _import_with(path: str) -> None:
