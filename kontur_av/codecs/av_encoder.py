@@ -107,7 +107,9 @@ class AvEncoder:
                 self._marker = _Marker(self._size, parts)
             frame = self._marker.mark(frame)
         (packet,) = self._codec.encode(frame)
-        quality, squares = unpack_from("=I4xQ", packet.get_sidedata("quality_stats"))
+        # x265 does not measure the error, and so says no more than the quantiser.
+        stats = bytes(packet.get_sidedata("quality_stats")).ljust(16, b"\0")
+        quality, squares = unpack_from("=I4xQ", stats)
         return CodedPicture(bytes(packet), packet.is_keyframe, quality / _LAMBDA, squares)
 
     def follow(self, options: dict[str, str]) -> bool:

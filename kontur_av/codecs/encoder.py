@@ -271,7 +271,8 @@ class VideoEncoder:
         width, height = self.unit_size
         # Where parts overlap, the first one counts.
         parts: list[Part] = []
-        if region is not None:
+        # A picture that begins anew has no bits to spare.
+        if region is not None and not anew:
             blocks = region.in_blocks((self.width, self.height), (width, height))
             if blocks is not None and (steps := region.steps_after(self._quantiser)):
                 parts.append(Part(*blocks, steps))
