@@ -7,8 +7,8 @@
 import { make, setText } from "./dom.js";
 import { fitted } from "./tip_prediction.js";
 
-/** The sides that a tap chooses, as a share of the picture's: 14 % of it. */
-const TAPPED = 0.375;
+/** The sides that a tap chooses, as a share of the picture's. */
+const TAPPED = 0.25;
 /** A shorter drag is a tap, in CSS pixels; a side is at least this share of the picture's. */
 const SHORT_PX = 8;
 const LEAST = 0.02;
