@@ -279,13 +279,11 @@ def test_a_pointer_moves_the_robot_and_its_release_stops_it(space, robot):
 
 
 def test_a_drag_after_a_key_chooses_a_focus_and_moves_no_robot(space, robot):
-    part = "document.querySelector('.focus-part')"
+    part, act = "document.querySelector('.focus-part')", ActionChains(space.browser.driver)
     space.wait(LIVE)
-    act = ActionChains(space.browser.driver, duration=50)
     act.send_keys("f").click_and_hold(space.find("#picture")).move_by_offset(60, 40).perform()
     assert not robot.held()
     release(space)
-    # The ground has acknowledged it.
     space.wait(f"!{part}.hidden && {part}.dataset.pending === 'false'")
     ActionChains(space.browser.driver).send_keys(Keys.DELETE).perform()
     space.wait(f"{part}.hidden")

