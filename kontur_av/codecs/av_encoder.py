@@ -21,6 +21,8 @@ BLOCK = 16
 _QUANTISERS = 51
 #: FFmpeg's FF_QP2LAMBDA.
 _LAMBDA = 118
+#: Of the quantiser and the squared errors of the luma, which libx265 does not tell.
+_STATS_OCTETS = 16
 
 
 class Part(NamedTuple):
@@ -110,9 +112,8 @@ class AvEncoder:
                 self._marker = _Marker(self._size, parts)
             frame = self._marker.mark(frame)
         (packet,) = self._codec.encode(frame)
-        # x265 does not measure the error, and so says no more than the quantiser.
-        stats = bytes(packet.get_sidedata("quality_stats")).ljust(16, b"\0")
-        quality, squares = unpack_from("=I4xQ", stats)
+        stats = packet.get_sidedata("quality_stats")
+        quality, squares = unpack_from("=I4xQ", bytes(stats).ljust(_STATS_OCTETS, b"\0"))
         return CodedPicture(bytes(packet), packet.is_keyframe, quality / _LAMBDA, squares)
 
     def follow(self, options: dict[str, str]) -> bool:

@@ -123,6 +123,7 @@ class VideoEncoder:
             search=search,
             regions=regions or self._sharpening is not None,
         )
+        self._given = 0
         self._follow_refresh()
         self._begin()
 
