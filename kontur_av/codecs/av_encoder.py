@@ -95,6 +95,9 @@ class AvEncoder:
         # Integers, because a product of fractions takes longer than all else around the encoder.
         self._ticks = (Fraction(VIDEO_CLOCK_HZ) / rate).as_integer_ratio()
         self._marker: _Marker | None = None
+        #: x265 falls at a part if the pictures before had none, so each has one, of 0 steps.
+        marked = "aq-mode=1" in options.get("x265-params", "")
+        self._always = [Part(0, 0, *size, 0)] if marked else []
 
     def encode(
         self, picture: I420, number: int, parts: Sequence[Part], *, keyframe: bool
@@ -104,7 +107,7 @@ class AvEncoder:
         frame.pts = number * ticks // per
         if keyframe:
             frame.pict_type = PictureType.I
-        if parts:
+        if parts := [*parts, *self._always]:
             if self._marker is None or self._marker.parts != parts:
                 self._marker = _Marker(self._size, parts)
             frame = self._marker.mark(frame)
