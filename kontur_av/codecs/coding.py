@@ -28,7 +28,8 @@ class Coding(NamedTuple):
     refresh_s: the time from one refresh wave to the next from now on.
     cap_bps: the cap from now on.
 
-    None leaves a value as it is. A change of any of the three makes this picture a key picture.
+    None leaves a value as it is. Another rate or refresh makes this picture a key picture; another
+    cap does, too, where PyAV codes it (`encoder_settings.EncoderSettings.encoder_in_use`).
     """
 
     keyframe: bool = False

@@ -98,6 +98,11 @@ class EncoderSettings:
         """Options of FFmpeg's `library`."""
         raise NotImplementedError
 
+    @classmethod
+    def encoder_in_use(cls) -> str:
+        """Return which encoder `open` takes on this machine, in words."""
+        return f"{cls.library} by PyAV: each new cap costs a key picture"
+
     def open(self) -> OpenEncoder:
         """Return an open encoder; ConfigError if there is none."""
         size, gop = (self.width, self.height), self.refresh_pictures
@@ -126,6 +131,11 @@ class H264Settings(EncoderSettings):
 
     library: ClassVar[str] = "libx264"
     _share_fill: ClassVar[Fraction] = Fraction(135, 100)
+
+    @classmethod
+    def encoder_in_use(cls) -> str:
+        library = x264.found()
+        return super().encoder_in_use() if library is None else f"libx264 {library.build} itself"
 
     def open(self) -> OpenEncoder:
         """Return libx264 itself, or else PyAV's encoder."""

@@ -7,7 +7,7 @@ from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, coded_rate_for
 from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import Search
-from kontur_av.codecs.h26x import encoder_of
+from kontur_av.codecs.h26x import encoder_of, settings_of
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusEncoder
 from kontur_av.codecs.region import Focus
 from kontur_av.media import (
@@ -88,6 +88,8 @@ class PictureFeed:
         self.focus: Focus | None = None
         encoder = make(coded_size)
         self.size, self.coded_size = size, encoder.coded_size
+        #: Of which library, in words.
+        self.encoder = settings_of(codec).encoder_in_use()
         self.sender = VideoSender(
             cap_bps=cap_bps,
             channel_bps=channel_bps,

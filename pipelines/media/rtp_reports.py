@@ -60,6 +60,8 @@ class SendReport(Report, frozen=True, kw_only=True):
     cpu_s: float
     size: tuple[int, int] | None = None
     coded_size: tuple[int, int] | None = None
+    #: The library that codes the pictures, in words.
+    encoder: str | None = None
     failed: list[str]
 
 

@@ -122,6 +122,7 @@ class SendShell:
             cpu_s=time.process_time(),
             size=feed.size if isinstance(feed, PictureFeed) else None,
             coded_size=feed.coded_size if isinstance(feed, PictureFeed) else None,
+            encoder=feed.encoder if isinstance(feed, PictureFeed) else None,
             failed=failed,
         )
 

@@ -70,6 +70,8 @@ def check_h264() -> Finding:
     import av
     import numpy as np
 
+    from kontur_av.codecs.encoder_settings import H264Settings
+
     fix = "install PyAV from its wheel (pip install --only-binary av av)"
     for codec, mode in (("libx264", "w"), ("h264", "r")):
         if codec not in av.codecs_available:
@@ -86,7 +88,8 @@ def check_h264() -> Finding:
     pictures = [p for packet in packets for p in decoder.decode(packet)] + decoder.decode(None)
     if len(pictures) != 1:
         return Finding("missing", f"PyAV {av.__version__} codes, but does not decode", fix)
-    return Finding("ok", f"PyAV {av.__version__}, libx264 and h264, one picture there and back")
+    found = f"PyAV {av.__version__}, libx264 and h264, one picture there and back"
+    return Finding("ok", f"{found}; {H264Settings.encoder_in_use()}")
 
 
 def check_h265() -> Finding:

@@ -75,7 +75,6 @@ def test_an_awaited_picture_is_softened_if_coded_small(pictures, monkeypatch):
     assert small[0] < 0.9 * sharp[0] and small[20] < sharp[20]
     assert list(large) == list(sizes(**full))
     # A new cap softens nothing.
-    # Another rate softens nothing.
     softened.clear()
     units = encode(originals[:4], codings={2: Coding(rate_hz=20.0)})
     assert keys(units) == [0, 2] and len(softened) == 1
