@@ -93,6 +93,11 @@ class DecoderCounts:
     #: Times that the decoder held pictures back and was reopened.
     decoder_restarts: int = 0
 
+    @property
+    def undecoded(self) -> int:
+        """Units that brought no picture: the stream is damaged, or lacks its beginning."""
+        return self.frames_corrupt + self.frames_before_start
+
 
 class VideoDecoder:
     """Access units to pictures, one for one and without delay. It counts garbage and never raises.

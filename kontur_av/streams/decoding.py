@@ -44,9 +44,9 @@ class PictureDecoding:
             yield unit, self._pictures(unit)
 
     def _pictures(self, unit: ReceivedUnit) -> Iterator[tuple[DecodedPicture, CaptureStamp | None]]:
-        corrupt = self.decoder.counts.frames_corrupt
+        undecoded = self.decoder.counts.undecoded
         pictures = self.decoder.decode(unit.data, unit.timestamp)
-        if self.decoder.counts.frames_corrupt > corrupt:
+        if self.decoder.counts.undecoded > undecoded:
             self.receiver.handle_undecoded()
         yield from self._stamped(pictures)
 

@@ -52,7 +52,7 @@ class VideoReceiver(ReportingReceiver):
        `poll_timeout`.
     2. Decode each unit of `next_event`, in order, with its timestamp.
     3. Call `handle_picture` for the stamp of each picture that the decoder returns, and
-       `handle_undecoded` where its count of corrupt units rose.
+       `handle_undecoded` where its count of undecoded units rose.
     4. Send the datagrams of `poll_feedback` to the sender's RTCP port.
 
     ssrc: the receiver's own, 32 random bits.

@@ -209,7 +209,7 @@ class VideoReceiveEnd:
         counts: the decoder's, after it.
         """
         receiver = self._receiver
-        if counts.frames_corrupt > self._decoder.frames_corrupt:
+        if counts.undecoded > self._decoder.undecoded:
             receiver.handle_undecoded()
         self._decoder = counts
         return [

@@ -161,6 +161,8 @@ def metrics_of(*, connected):
         for end in ("ground", "space")
         for key, value in supervised.items()
     }
+    path = {"state": "fewer pictures", "bps": 812_000, "why": "records wait 1234 ms, and " * 2}
+    metrics |= {f"gateways.space.peer.path_{key}": value for key, value in path.items()}
     metrics |= {
         "contact.since_acquisition_s": 101.0,
         "contact.until_loss_s": 492.0,
@@ -295,7 +297,7 @@ def test_no_page_scrolls_sideways_cuts_a_text_or_shuts_people_out(segment, name,
             page.run(TELL_STUDY, texts_of_study(begun=connected))
         elif name != "welcome":
             texts = texts_of(segment, connected=connected)
-            texts += [metrics_of(connected=connected)] if name == "systems" else []
+            texts += [metrics_of(connected=connected)] if name in ("space", "systems") else []
             page.run(TELL, [json.dumps(text) for text in texts])
         page.fit(width)
         for tab in page.run(TABS) or [""]:

@@ -3,8 +3,6 @@
 import contextlib
 import os
 import signal
-import threading
-import time
 
 import pytest
 from running_link import (
@@ -16,12 +14,10 @@ from running_link import (
     listening,
 )
 
-from pipelines.link.relay import PathRelay
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import PORTS
 from pipelines.table import topology_of
-from telepresence.link.radio.network import Network, NetworkPath
 
 SPACEJUSTIN = BUILT_IN["spacejustin"]
 FLOWS = [row.flow for row in topology_of(SPACEJUSTIN).streams if row.flow is not None]
@@ -156,41 +152,6 @@ def test_two_ends_that_trust_each_other_carry_datagrams_and_heed_no_stranger(sta
     for end in (ground, space):
         secret = keys[end.name].read_text().splitlines()[1]
         assert secret not in end.output() + end.report_path.read_text()
-
-
-def test_two_ends_over_a_network_that_loses_and_reorders(start, program, keys):
-    base = free_base_port()
-    bad = Network(delay_ms=5, loss=0.01, reordered=0.1, reorder_ms=12, repeated=0.01)
-    ways = (NetworkPath(bad, 1), NetworkPath(bad, 2))
-    relay, stop = PathRelay(("127.0.0.1", base), *ways, time.monotonic_ns), threading.Event()
-    thread = threading.Thread(target=relay.run, args=(stop.is_set,), daemon=True)
-    thread.start()
-    options = ("--setup", "taskboard", "--path", "compact", "--path-batch-ms", "2")
-    named = (("space", "--peer", relay.address[1]), ("ground", "--listen", base))
-    ends = {
-        name: start(
-            *(*options, "--end", name, "--key", str(keys[name]), option, f"127.0.0.1:{port}"),
-            base_port=base + PORTS * (name == "space"),
-            name=name,
-        )
-        for name, option, port in named
-    }
-    up = program(ends["space"].topology.exit_port("uplink_maintenance"))
-    entry = ends["ground"].topology.entry_port("uplink_maintenance")
-    until_through(program(0), ("127.0.0.1", entry), up, b"up")
-    # A compact path is silent without payload.
-    entries = (entry, ends["space"].topology.entry_port("downlink_maintenance"))
-    sender, before = program(0), [way.reordered for way in ways]
-    while any(way.reordered < each + 100 for way, each in zip(ways, before, strict=True)):
-        for port in entries:
-            sender.sendto(bytes(40), ("127.0.0.1", port))
-        time.sleep(0.002)
-    for name, end in ends.items():
-        report = end.finish()
-        path = report["gateways"][name]["peer"]
-        assert path["bundled"] and path["compact"] and path["frames_put_back"] > 0
-    stop.set()
-    thread.join()
 
 
 def test_a_killed_gateway_is_restarted_and_reported(start, program):

@@ -1,16 +1,20 @@
-"""Two ends in network namespaces: hosts behind NATs."""
+"""Two ends: over a network that carries less for a while; in network namespaces, behind NATs."""
 
 import contextlib
 import json
 import os
 import signal
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from common import eventually, free_port
 from running_end import RunningEnd
-from running_link import eventually
 from two_hosts import GROUND_PUBLIC, PORT, TwoHosts
+
+from pipelines.link.relay import PathRelay
+from telepresence.link.radio.network import Network, NetworkPath
 
 
 @pytest.fixture
@@ -83,3 +87,38 @@ def test_a_session_on_two_machines_outlives_kills_a_cut_cable_and_a_new_address(
             assert (stream["payload_bps_max_1s"] or 0) <= stream["cap_bps"], name
     assert reports["ground"]["gateways"]["ground"]["peer"]["address_changes"] >= 1
     print(json.dumps(back_s))
+
+
+def test_a_session_follows_what_a_network_carries_that_loses_and_reorders(keys, tmp_path):
+    bad = Network(delay_ms=5, loss=0.01, reordered=0.1, reorder_ms=12, repeated=0.01)
+    at, (down, up) = ("127.0.0.1", free_port()), (NetworkPath(bad, seed) for seed in (1, 2))
+    relay, stop = PathRelay(at, down, up, time.monotonic_ns), threading.Event()
+    thread = threading.Thread(target=relay.run, args=(stop.is_set,), daemon=True)
+    thread.start()
+    where = (("ground", "--listen", at[1]), ("space", "--peer", relay.address[1]))
+    with contextlib.ExitStack() as stack:
+        ends = {}
+        for name, option, port in where:
+            words = ("--path", "compact", "--path-batch-ms", "4", "--key", keys[name])
+            words = (option, f"127.0.0.1:{port}", *words)
+            end = RunningEnd("taskboard", name, *words, directory=tmp_path / name)
+            ends[name] = stack.enter_context(end)
+            # It has its ports, so that the other end takes others.
+            end.pids()
+        ground, space = ends.values()
+        ground.wait_for_flow()
+        space.wait_for_flow()
+        # The operator's picture passes a bottleneck with a queue, which cannot carry all of it.
+        up._rates_bps = [270_000]
+        eventually(lambda: "at most" in ground.lines()[-1].replace("at most 90", ""), "lower caps")
+        for end in (ground, space):
+            end.wait_for_flow([name for name in end.shown() if "haptic" in name])
+        up._rates_bps = [0]
+        eventually(lambda: "video at most" not in ground.lines()[-1], "the whole profile")
+        space.wait_for_flow()
+        for name, end in ends.items():
+            peer = end.finish()["gateways"][name]["peer"]
+            assert peer["bundled"] and peer["compact"] and peer["frames_put_back"] > 0
+            assert end is space or "over the path" in str(peer["events"])
+    stop.set()
+    thread.join()

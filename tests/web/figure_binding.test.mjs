@@ -5,6 +5,7 @@ import { Element, Line, paper } from "./page.mjs";
 import { load } from "./modules.mjs";
 
 const { FigureBinding, NOTHING } = await load("figure_binding.js");
+const { pathSays } = await load("path_list.js");
 const words = await load("wording.js");
 
 test("a figure is written wherever it is asked for, and a word stays a word", () => {
@@ -53,4 +54,12 @@ test("numbers have about three digits, and their unit grows with them", () => {
   for (const text of [agoText, clockText, countText, millisecondsText, rateText]) {
     assert.deepEqual([null, undefined, NaN, "7"].map(text), [NOTHING, NOTHING, NOTHING, NOTHING]);
   }
+});
+
+test("the path to another machine is in words, and nothing that was not measured", () => {
+  const says = (peer) => pathSays({ get: (name) => peer[name.replace("gateways.space.peer.", "")] ?? null });
+  const slow = { path_state: "lower caps", path_why: "records wait 80 ms", path_bps: 812_000, path_loss: 0.0123, video_cap_bps: 543_000, order_budget_ns: 12e6 };
+  assert.equal(says({}), null);
+  assert.deepEqual(says(slow), { peer: "ground", state: "lower caps", why: "records wait 80 ms", texts: ["812 kbit/s", "1.2 %", "543 kbit/s", "12.0 ms"] });
+  assert.deepEqual(says({ path_state: "all", path_bps: 0 }), { peer: "ground", state: "not measured", why: "", texts: [NOTHING, NOTHING, NOTHING, NOTHING] });
 });

@@ -1,12 +1,13 @@
 /**
- * `<contact-panel>`: signal and state of both ways of the link, delays, and the present instant
- * in the pass.
+ * `<contact-panel>`: signal and state of both ways of the link, delays, the present instant in the
+ * pass, and the path to another machine.
  *
  * @import { FigureBinding } from "./figure_binding.js"
  * @import { Seat } from "./seat.js"
  */
 import { make, setText } from "./dom.js";
 import { NOTHING } from "./figure_binding.js";
+import { pathList } from "./path_list.js";
 
 const MS_PER_NS = "0.000001";
 
@@ -17,7 +18,8 @@ class ContactPanel extends HTMLElement {
   #until = make("dd");
 
   /** @param {Seat} seat */
-  follow({ connection, figures }) {
+  follow(seat) {
+    const { connection, figures } = seat;
     const state = make("span", { class: "small", "data-figure": "gateways.space.supervision.state" });
     this.append(
       make("header", {}, make("h2", {}, "Contact"), state),
@@ -28,11 +30,12 @@ class ContactPanel extends HTMLElement {
         ...row("Down to ground", this.#downlink),
         ...row("Delay up", delay("gateways.ground.radio.delay_ns")),
         ...row("Delay down", delay("gateways.space.radio.delay_ns")),
-        ...row("Lost, restored up", losses("link.uplink")),
-        ...row("Lost, restored down", losses("link.downlink")),
+        ...row("Repair up", losses("link.uplink")),
+        ...row("Repair down", losses("link.downlink")),
         ...row("In contact for", this.#since),
         ...row("Loss of signal in", this.#until),
       ),
+      pathList(seat),
     );
     const show = () => this.#show(figures, connection.alive);
     connection.on("figures", show);
@@ -62,13 +65,13 @@ function delay(name) {
   return make("dd", {}, value, make("span", { class: "unit" }, "ms"));
 }
 
-/** Frames lost, how many of them repair restored, and its mode. @param {string} direction */
+/** How many of the lost frames repair restored, and its mode. @param {string} direction */
 function losses(direction) {
-  const [lost, restored, mode] = ["frames_lost", "repaired.zones", "repair_sent.mode"].map((figure) =>
+  const [restored, lost, mode] = ["repaired.zones", "frames_lost", "repair_sent.mode"].map((figure) =>
     make("span", { "data-figure": `${direction}.${figure}` }),
   );
   mode.className = "unit";
-  return make("dd", {}, lost, ", ", restored, " ", mode);
+  return make("dd", {}, restored, " of ", lost, " ", mode);
 }
 
 /** @param {HTMLElement} element @param {unknown} signal */

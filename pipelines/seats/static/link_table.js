@@ -1,12 +1,13 @@
 /**
- * `<link-table>`: what waits at each level of both directions and for how long, and what the link
- * lost.
+ * `<link-table>`: what waits at each level of both directions and for how long, what the link lost,
+ * and the path to another machine.
  *
  * @import { Seat } from "./seat.js"
  * @import { Figure } from "./texts.js"
  */
 import { make, setAttribute, setText } from "./dom.js";
 import { countsBelow } from "./figure_binding.js";
+import { pathList } from "./path_list.js";
 import { countText } from "./wording.js";
 
 const DIRECTIONS = ["uplink", "downlink"];
@@ -27,7 +28,7 @@ class LinkTable extends HTMLElement {
   #counts = new Map();
 
   /** @param {Seat} seat */
-  follow({ connection }) {
+  follow(seat) {
     const head = make("tr", {}, make("td"));
     const units = make("tr", { class: "units" }, make("th", { scope: "col" }, "queue"));
     for (const direction of DIRECTIONS) {
@@ -60,8 +61,11 @@ class LinkTable extends HTMLElement {
       cell.colSpan = 2;
       late.append(cell);
     }
-    this.append(make("table", {}, make("thead", {}, head, units), body, make("tbody", {}, ...rows, late)));
-    connection.on("figures", ({ figures }) => this.#show(figures));
+    this.append(
+      make("table", {}, make("thead", {}, head, units), body, make("tbody", {}, ...rows, late)),
+      pathList(seat),
+    );
+    seat.connection.on("figures", ({ figures }) => this.#show(figures));
   }
 
   /** @param {Readonly<Record<string, Figure>>} figures */

@@ -155,21 +155,23 @@ _STEP = 0.85
 #: Leave out every second picture, or as many as `least_fps` lets.
 _LEAVE_OUT = 2
 _RATE_SAVES = 0.3
-#: A queue of this length is too long. So is half of it with losses above the usual ones.
-TOO_LONG_NS = 50 * NS_PER_MS
+#: A queue of this length is too long. So is a long one with losses above the usual ones.
+_TOO_LONG_NS = 50 * NS_PER_MS
 _LOSSES_ABOVE = 0.05
-#: A shorter queue than this lets more go.
-_CALM_NS = 35 * NS_PER_MS
+#: While the queue is shorter, more is tried. If the queue gets longer by this, that has failed.
+_LONG_NS = 25 * NS_PER_MS
 #: A step down shows at the other end after this time.
 _SETTLES_NS = 300 * NS_PER_MS
 #: A queue that gets shorter by this between two reports drains.
 _DRAINS_NS = 5 * NS_PER_MS
-#: More is tried after this time, and later after it failed.
-_TRY_NS, _MOST_TRY_NS = NS_PER_S, 2 * NS_PER_S
-#: The first step is watched for this time. Then follow so many at once, after this time each.
-_FIRST_NS, _NEXT, _NEXT_NS = NS_PER_S, 3, 400 * NS_PER_MS
-#: A step up has failed if the queue gets longer by this within this time.
-_RISES_NS, _FAILED_NS = 25 * NS_PER_MS, 3 * NS_PER_S // 2
+#: A little more is tried after this time, and watched for as long.
+_TRY_NS = NS_PER_S
+#: A try makes records wait, and with HEVC costs two key pictures. If it failed, the next one comes
+#: after this share of the time for which the path has been slow: at least twice `_TRY_NS`, and at
+#: most this.
+_AGAIN_SHARE, _MOST_AGAIN_NS = 8, 30 * NS_PER_S
+#: When the first step passes, so many follow at once, after this time each.
+_NEXT, _NEXT_NS = 3, 400 * NS_PER_MS
 #: A better state is told to people when it has lasted this long.
 _LASTS_NS = 5 * NS_PER_S
 #: The smallest delay is looked for in this window and the one before.
@@ -188,7 +190,7 @@ class PathFollower:
 
     def __init__(self, needs: PathNeeds) -> None:
         self.needs = needs
-        self.allowed, self.why = ALL, ""
+        self.allowed, self._why = ALL, ""
         self.path_bps = self.queue_ns = 0
         self.loss = self._usual = 0.0
         self._fixed = [ALL, _TOO_SLOW]
@@ -200,13 +202,17 @@ class PathFollower:
         self._window_ns = 0
         self._least_us = self._least_before_us = 1 << 31
         self._told, self._told_level, self._state_ns = ALL.state, 0, 0
-        self._try_ns = _TRY_NS
-        self._lower_ns = self._raise_ns = 0
-        self._lowered_ns = -NS_PER_S
+        #: Since when not all goes.
+        self._slow_ns = 0
+        self._raise_ns, self._lowered_ns = 0, -NS_PER_S
         #: Whether steps up follow each other; the level and the queue before the newest, and when.
         self._rising = False
         self._tried = self._tried_ns = 0
-        self._raised_ns = -_FAILED_NS
+        self._raised_ns = -_TRY_NS
+
+    @property
+    def why(self) -> str:
+        return self._why if self._level else ""
 
     def handle_report(
         self, report: PathReport, octets_sent: int, now_ns: int, *, compact: bool
@@ -253,16 +259,17 @@ class PathFollower:
         losing = self.loss > self._usual + _LOSSES_ABOVE
         before_ns = self.queue_ns
         self.queue_ns = queue_ns = self._queue_us(report.delay_us, losing, now_ns) * NS_PER_US
-        if now_ns - self._raised_ns < _FAILED_NS and queue_ns >= self._tried_ns + _RISES_NS:
-            self._try_ns = min(2 * self._try_ns, _MOST_TRY_NS)
-            self._go(self._tried, now_ns)
-        elif queue_ns >= (TOO_LONG_NS // 2 if losing else TOO_LONG_NS):
-            if now_ns >= self._lower_ns and queue_ns > before_ns - _DRAINS_NS:
+        if now_ns - self._raised_ns < _TRY_NS and queue_ns >= self._tried_ns + _LONG_NS:
+            again_ns = (now_ns - self._slow_ns) // _AGAIN_SHARE
+            self._go(self._tried, now_ns, min(max(again_ns, 2 * _TRY_NS), _MOST_AGAIN_NS))
+        elif queue_ns >= (_LONG_NS if losing else _TOO_LONG_NS):
+            settled = now_ns - self._lowered_ns >= _SETTLES_NS
+            if settled and queue_ns > before_ns - _DRAINS_NS:
                 self._lower(now_ns)
             return
         if not (losing and self._level and self._levels is self._fixed):
             self._usual += (self.loss - self._usual) / 16
-        if self._level and queue_ns < _CALM_NS and not losing and now_ns >= self._raise_ns:
+        if self._level and queue_ns < _LONG_NS and not losing and now_ns >= self._raise_ns:
             self._raise(now_ns)
 
     def _queue_us(self, delay_us: int, losing: bool, now_ns: int) -> int:
@@ -299,34 +306,33 @@ class PathFollower:
             wanted_bps = saved_bps[min(self._level, last)] + sent_bps - aim_bps
             while level < last and saved_bps[level] < wanted_bps:
                 level += 1
-        self._try_ns = _TRY_NS
-        self._go(min(level, last), now_ns)
+        if not self._level:
+            self._slow_ns = now_ns
+        self._go(min(level, last), now_ns, _TRY_NS)
         waits = f"records wait {self.queue_ns // NS_PER_MS} ms, and"
         why = f"{waits} {self.path_bps // 1000} kbit/s of {sent_bps // 1000} arrive"
-        self.why = _FIXED if self._levels is self._fixed else why
+        self._why = _FIXED if self._levels is self._fixed else why
 
-    def _go(self, level: int, now_ns: int) -> None:
-        """Down to this level."""
+    def _go(self, level: int, now_ns: int, try_ns: int) -> None:
+        """Down to this level. More is tried after `try_ns`."""
         self._rising = False
-        self._raised_ns = -_FAILED_NS
-        self._lowered_ns, self._lower_ns = now_ns, now_ns + _SETTLES_NS
-        self._raise_ns = now_ns + self._try_ns
+        self._raised_ns = -_TRY_NS
+        self._lowered_ns, self._raise_ns = now_ns, now_ns + try_ns
         self._level, self.allowed = level, self._levels[level]
 
     def _raise(self, now_ns: int) -> None:
         """Let more go: at first a little, which may not pass."""
         self._tried, self._tried_ns, self._raised_ns = self._level, self.queue_ns, now_ns
         self._level = max(0, self._level - (_NEXT if self._rising else 1))
-        self._raise_ns = now_ns + (_NEXT_NS if self._rising else _FIRST_NS)
+        self._raise_ns = now_ns + (_NEXT_NS if self._rising else _TRY_NS)
         self._rising = True
         self.allowed = self._levels[self._level]
-        self.why = self.why if self._level else ""
 
     def _use(self, compact: bool) -> None:
         levels = self._compact if compact else self._fixed
         if levels is not self._levels:
-            self._levels, self._level, self._raised_ns = levels, 0, -_FAILED_NS
-            self.allowed, self.why = ALL, ""
+            self._levels, self._level, self._raised_ns = levels, 0, -_TRY_NS
+            self.allowed = ALL
 
 
 def _levels(needs: PathNeeds) -> tuple[list[Allowed], list[int]]:

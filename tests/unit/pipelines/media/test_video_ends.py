@@ -115,11 +115,12 @@ def test_a_path_that_carries_less_lowers_the_cap_from_then_on_and_holds_video_at
     assert 0.6 * 240_000 < most_bps(PARTS)[0] <= 240_000
 
 
-def test_a_unit_that_the_decoder_cannot_decode_asks_for_a_key_picture_with_the_next():
+@pytest.mark.parametrize("undecoded", ["frames_corrupt", "frames_before_start"])
+def test_a_unit_that_the_decoder_cannot_decode_asks_for_a_key_picture_with_the_next(undecoded):
     end = VideoReceiveEnd(STREAM, Probe(), ssrc=1, wall_offset_ns=0)
     sender, counts = make_sender(timestamp_offset=0), DecoderCounts()
     asked = []
-    for number, corrupt in enumerate((0, 1, 1, 1)):
+    for number, units in enumerate((0, 1, 1, 1)):
         now_ns = number * NS_PER_S // 30
         unit = unit_of(CaptureStamp(now_ns, number, "x"), key=not number)
         for packet in sender.video_packets(unit).packets:
@@ -127,7 +128,7 @@ def test_a_unit_that_the_decoder_cannot_decode_asks_for_a_key_picture_with_the_n
         if not number:
             end.handle_report(sender.poll_report(now_ns), now_ns)
         while (came := end.next_unit()) is not None:
-            counts = replace(counts, frames_decoded=number + 1, frames_corrupt=corrupt)
+            counts = replace(counts, frames_decoded=number + 1, **{undecoded: units})
             (stamp,) = end.handle_decoded([(came.timestamp, 640, 480, False)], counts)
             assert stamp is not None
         asked.append(end.poll_feedback(now_ns) is not None)

@@ -207,3 +207,19 @@ def test_whole_frames_during_a_try_begin_anew():
         follower.handle_report(report, sent, turn * 100 * MS, compact=turn < 25)
         states.append(follower.allowed.state)
     assert states[8] == "fewer pictures" and "too slow" == states[-1] != states[24]
+
+
+def test_the_longer_a_path_stays_slow_the_rarer_are_tries():
+    follower, waiting, sent, tries = PathFollower(NEEDS), 0.0, 0, []
+    for turn in range(3000):
+        before = follower.allowed.cap_parts
+        bits, passes = 70_000 + VIDEO_BPS // 10 * before // PARTS, 150_000
+        waiting, sent = max(0.0, waiting + bits - passes), sent + bits // 8
+        came = 9 * turn, 9 * turn, 20_000 + int(waiting / passes * 100_000)
+        report = PathReport(turn * 100_000, sent - int(waiting / 8), *came)
+        follower.handle_report(report, sent, turn * 100 * MS, compact=True)
+        assert bool(follower.why) is (follower.allowed != ALL)
+        if follower.allowed.cap_parts > before:
+            tries.append(turn // 10)
+    assert sum(second < 30 for second in tries) > 5
+    assert 2 <= sum(second >= 200 for second in tries) <= 6
