@@ -89,9 +89,8 @@ def test_a_stream_of_pictures_is_described_before_its_first_packet():
     feed, source, _ = pictures()
     try:
         stream = describe(feed, "::1", 5004)
-        assert (stream.kind, stream.host, stream.port, stream.payload_type) == (
-            *("video", "::1", 5004, 96),
-        )
+        about = stream.kind, stream.host, stream.port, stream.payload_type
+        assert about == ("video", "::1", 5004, 96)
         # A packet for each picture, and one more for each 1200 octets; IPv6, UDP and RTP: 60.
         assert stream.bandwidth_bps == 300_000 + round((25 + 300_000 / 8 / 1200) * 60 * 8)
         assert [unit[0] & 31 for unit in stream.parameter_sets] == [7, 8]

@@ -215,8 +215,7 @@ def test_power_that_cannot_be_taken_is_said():
 def test_numbers_of_numpy_drive_it(arm):
     arm.tips = {"x": np.array([0.4, 0.5])}.copy
     assert DrivenRobot(arm).tips() == {"x": Tip(0.4, 0.5)}
-    numbers = np.array([0.01, 0.02, 0.0, 0.0])
-    arm.reading = RobotReading(*numbers, contact=np.bool_(False))
+    arm.reading = RobotReading(*np.array([0.01, 0.02, 0.0, 0.0]), contact=np.bool_(False))
     robot = DrivenRobot(arm)
     robot.step(0.0, 0.0, MS)
     assert {type(one) for one in (robot.x_m, robot.vx_m_s, robot.push_x_n)} == {float}
