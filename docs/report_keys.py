@@ -19,6 +19,7 @@ from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.media.media_metrics import (
     CaptureMetrics,
     DisplayMetrics,
+    FocusMetrics,
     GainMetrics,
     SelectorMetrics,
     SnapshotMetrics,
@@ -58,6 +59,7 @@ TOLD: tuple[type, ...] = (
     CaptureMetrics,
     StereoMetrics,
     SelectorMetrics,
+    FocusMetrics,
     SenderCounts,
     FeedbackCounts,
     GainMetrics,

@@ -3,7 +3,7 @@
 import re
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,17 @@ class CaptureStamp:
     source: str
     quality: Quality = Quality.FRESH
     rtp_timestamp: int | None = None
+
+
+class Tip(NamedTuple):
+    """Where a camera sees the tip of a robot: shares of its picture, from the left and the top."""
+
+    x: float
+    y: float
+
+
+#: By camera.
+Tips = dict[str, Tip]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,9 @@ from benchmarks.video.clips import FOOTAGE, footage
 from benchmarks.video.packages import PACKAGED, fetch
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import coded_rate_for
-from kontur_av.codecs.h26x import H264Encoder
-from kontur_av.media import CaptureStamp, VideoFrame
+from kontur_av.codecs.h26x import encoder_of
+from kontur_av.codecs.region import Region
+from kontur_av.media import AccessUnit, CaptureStamp, VideoCodec, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.paced_sender import UnitSent
 from kontur_av.streams.video_sender import VideoSender
@@ -48,8 +49,20 @@ def psnr(one: np.ndarray, other: np.ndarray) -> float:
     return float(10 * np.log10(255**2 / max(error, 0.01)))
 
 
-def metrics(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
-    """Send a clip, and return its figures as a row."""
+def send(
+    shot: Clip,
+    camera_hz: int,
+    coded_hz: int,
+    cap_bps: int,
+    *,
+    region: Region | None = None,
+    regions: bool = False,
+    codec: VideoCodec = "h264",
+) -> tuple[list[AccessUnit], dict[int, int]]:
+    """Send a clip; return its access units, and by capture when each is shown.
+
+    region, regions: of the encoder.
+    """
     sender = VideoSender(
         cap_bps=cap_bps,
         fps=coded_hz,
@@ -58,12 +71,9 @@ def metrics(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
         cname="rates",
         channel_bps=CHANNEL_BPS,
     )
-    encoder = H264Encoder(width=WIDTH, height=HEIGHT, fps=coded_hz, cap_bps=cap_bps)
-    decoder = av.CodecContext.create("h264", "r")
-
-    def camera(number: int) -> np.ndarray:
-        return shot.pictures[shot.order[number * 60 // camera_hz % len(shot.order)]]
-
+    encoder = encoder_of(codec)(
+        width=WIDTH, height=HEIGHT, fps=coded_hz, cap_bps=cap_bps, regions=regions
+    )
     captured = free_ns = 0
     newest, coding, units, shown_ns = None, None, [], {}
     for now_ns in range(0, SECONDS * NS_PER_S, STEP_NS):
@@ -81,15 +91,26 @@ def metrics(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
         if coding is None and newest is not None:
             wish = sender.poll_encode(now_ns)
             if wish is not None:
-                picture = VideoFrame(camera(newest.sequence), newest)
-                coding, newest = (now_ns + ENCODE_NS, encoder.encode(picture, wish)), None
+                picture = VideoFrame(camera(shot, newest.sequence, camera_hz), newest)
+                unit = encoder.encode(picture, wish, region=region)
+                coding, newest = (now_ns + ENCODE_NS, unit), None
         while (packet := sender.poll_transmit(now_ns)) is not None:
             octets = len(packet) - COMPRESSED
             free_ns = max(free_ns, now_ns) + octets * 8 * NS_PER_S // CHANNEL_BPS
         while (event := sender.next_event()) is not None:
             if isinstance(event, UnitSent):
                 shown_ns[event.capture_ns] = free_ns + DECODE_NS
+    return units, shown_ns
 
+
+def camera(shot: Clip, number: int, camera_hz: int) -> np.ndarray:
+    return shot.pictures[shot.order[number * 60 // camera_hz % len(shot.order)]]
+
+
+def metrics(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
+    """Send a clip, and return its figures as a row."""
+    units, shown_ns = send(shot, camera_hz, coded_hz, cap_bps)
+    decoder = av.CodecContext.create("h264", "r")
     quality, latency_ms, octets, display = [], [], 0, []
     for unit in units:
         at_ns, stamp = shown_ns.get(unit.stamp.capture_ns), unit.stamp
@@ -101,7 +122,7 @@ def metrics(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
                 continue
             display.append((at_ns, luma))
             if stamp.capture_ns >= SETTLE_S * NS_PER_S:
-                quality.append(psnr(luma, camera(stamp.sequence)[:HEIGHT]))
+                quality.append(psnr(luma, camera(shot, stamp.sequence, camera_hz)[:HEIGHT]))
                 latency_ms.append((at_ns - stamp.capture_ns) / NS_PER_MS)
                 octets += len(unit.data)
     live, index = [], 0

@@ -21,6 +21,8 @@ BLOCK = 16
 _QUANTISERS = 51
 #: FFmpeg's FF_QP2LAMBDA.
 _LAMBDA = 118
+#: Of the quantiser and the squared errors of the luma, which libx265 does not tell.
+_STATS_OCTETS = 16
 
 
 class Part(NamedTuple):
@@ -93,6 +95,9 @@ class AvEncoder:
         # Integers, because a product of fractions takes longer than all else around the encoder.
         self._ticks = (Fraction(VIDEO_CLOCK_HZ) / rate).as_integer_ratio()
         self._marker: _Marker | None = None
+        #: x265 falls at a part if the pictures before had none, so each has one, of 0 steps.
+        marked = "aq-mode=1" in options.get("x265-params", "")
+        self._always = [Part(0, 0, *size, 0)] if marked else []
 
     def encode(
         self, picture: I420, number: int, parts: Sequence[Part], *, keyframe: bool
@@ -102,12 +107,13 @@ class AvEncoder:
         frame.pts = number * ticks // per
         if keyframe:
             frame.pict_type = PictureType.I
-        if parts:
+        if parts := [*parts, *self._always]:
             if self._marker is None or self._marker.parts != parts:
                 self._marker = _Marker(self._size, parts)
             frame = self._marker.mark(frame)
         (packet,) = self._codec.encode(frame)
-        quality, squares = unpack_from("=I4xQ", packet.get_sidedata("quality_stats"))
+        stats = packet.get_sidedata("quality_stats")
+        quality, squares = unpack_from("=I4xQ", bytes(stats).ljust(_STATS_OCTETS, b"\0"))
         return CodedPicture(bytes(packet), packet.is_keyframe, quality / _LAMBDA, squares)
 
     def follow(self, options: dict[str, str]) -> bool:

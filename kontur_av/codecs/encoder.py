@@ -105,7 +105,7 @@ class VideoEncoder:
         # A stream in its full size keeps it, because not every receiver can scale.
         self._cuts = Cuts() if coded_size is None and coded != (width, height) else None
         self._sharpening = Sharpening() if self._sharpens and self._cuts is not None else None
-        self._regions = regions
+        self._regions, self._quantiser = regions, 0.0
         self._sizes = sizes_around(width, height, coded, self.codec)
         self.largest_size = self._sizes[-1] if self._cuts is not None else coded
         self._choice = SizeChoice(
@@ -123,6 +123,7 @@ class VideoEncoder:
             search=search,
             regions=regions or self._sharpening is not None,
         )
+        self._given = 0
         self._follow_refresh()
         self._begin()
 
@@ -193,6 +194,7 @@ class VideoEncoder:
             self._sharpening.handle_unit(shares)
         if self._cuts is not None and not self._cuts.restless:
             self._choice.handle_unit(coded.quantiser, shares, self._coding_loss(coded), loss)
+        self._quantiser = coded.quantiser
         self.encoded += 1
         octets, keyframe = self._finished(coded)
         return AccessUnit(octets, frame.stamp, keyframe, self.codec)
@@ -270,10 +272,11 @@ class VideoEncoder:
         width, height = self.unit_size
         # Where parts overlap, the first one counts.
         parts: list[Part] = []
-        if region is not None:
+        # A picture that begins anew has no bits to spare.
+        if region is not None and not anew:
             blocks = region.in_blocks((self.width, self.height), (width, height))
-            if blocks is not None:
-                parts.append(Part(*blocks, region.steps))
+            if blocks is not None and (steps := region.steps_after(self._quantiser)):
+                parts.append(Part(*blocks, steps))
         # Where cuts come fast, pictures are replaced before they are sharp.
         if self._sharpening is None or self._cuts is None or self._cuts.restless:
             return parts

@@ -3,7 +3,7 @@
 docs/experiments/video.md lists what was tried, and the gain of each.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from math import ceil
 from typing import ClassVar, Literal, get_args
@@ -17,8 +17,17 @@ Search = Literal["quick", "thorough"]
 SEARCHES: tuple[Search, ...] = get_args(Search)
 #: Up to this many macroblocks a second, there is time for the thin channel's search.
 _THIN_UP_TO = 20_000
-#: The largest quantiser where no picture may be late.
-_PUNCTUAL = 51
+#: The largest quantiser, and none.
+_COARSEST, _NO_LIMIT = 48, 51
+#: A buffer of so many shares of a picture still counts as one share.
+_SAME_SHARE = Fraction(106, 100)
+#: In wide channels the buffer holds more, and most of it is used.
+_WIDE_SHARES = Fraction(115, 100)
+#: A buffer is not rounded up beyond this: its pictures would take the place of too many others.
+_MOST_SHARES = Fraction(154, 100)
+#: The fill rate over the cap of a buffer of more than a share, and at most where no picture may be
+#: late: larger sizes take longer to code.
+_ROUNDED_FILL, _PUNCTUAL_FILL = Fraction(11, 10), Fraction(104, 100)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +40,8 @@ class EncoderSettings:
     """
 
     library: ClassVar[str]
+    #: The fill rate over the cap of a model that holds one share.
+    _share_fill: ClassVar[Fraction]
 
     width: int
     height: int
@@ -53,6 +64,36 @@ class EncoderSettings:
         blocks_hz = self.width * self.height * self.rate / MACROBLOCK
         return blocks_hz <= _THIN_UP_TO or self.cap_bps < BITS_PER_MACROBLOCK * blocks_hz
 
+    @property
+    def coarsest(self) -> int:
+        """The largest quantiser.
+
+        With it, a picture that needs more bits is late once, and the following ones are good.
+        Without it they stay coarse.
+        """
+        return _COARSEST if self.is_thin and not self.punctual else _NO_LIMIT
+
+    def buffer_model(self) -> dict[str, str]:
+        """The options of the library's buffer model (VBV), to which it holds each picture.
+
+        It does while 1.1 times the inflow of a picture is more than the model holds; with less it
+        plans over several pictures, and leaves a quarter of the cap unused. The pacer keeps the
+        cap. The libraries take whole kbit.
+        """
+        share = Fraction(self.cap_bps) / self.rate / 1000
+        kbit = max(ceil(share / _SAME_SHARE if self.is_thin else share * _WIDE_SHARES), 1)
+        if kbit > 1 and kbit > share * _MOST_SHARES:
+            kbit -= 1
+        over_cap = self._share_fill if kbit <= share * _SAME_SHARE else _ROUNDED_FILL
+        if self.punctual:
+            over_cap = min(over_cap, _PUNCTUAL_FILL)
+        # x264 makes the model as large as the inflow of a picture, in whole kbit.
+        most = ceil((kbit + 1) * self.rate) - 1
+        fill = max(min(int(self.cap_bps * over_cap / 1000), most), 1)
+        if kbit <= share * _MOST_SHARES:
+            fill = max(fill, int(kbit * self.rate * 10 / 11) + 1)
+        return {"b": f"{fill}000", "maxrate": f"{fill}000", "bufsize": f"{kbit}000"}
+
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's `library`."""
         raise NotImplementedError
@@ -72,55 +113,19 @@ _X264_REGIONS = ":aq-mode=1:aq-strength=0.001"
 _X264_BLOCKS = "partitions=p8x8,i8x8,i4x4"
 
 
-@dataclass(frozen=True)
-class _Effort:
-    """x264's quality target and its buffer model (VBV).
-
-    crf: the constant quality where bits suffice; None: a constant bit rate.
-    rate_over_cap: the fill rate of the model over the cap, which the pacer keeps. The model must
-        gain at least 1/1.1 of its size each picture. With less, x264 plans over several pictures.
-    buffer_over_share: the size of the model over one picture's share.
-    coarsest: the largest quantiser. With it, a picture that needs more bits is late once, and the
-        following ones are good. Without it they stay coarse.
-    """
-
-    crf: int | None
-    rate_over_cap: Fraction
-    buffer_over_share: Fraction
-    coarsest: int
-    parameters: str
-
-
-#: For few macroblocks: 430 of them take 3 ms of a core. x264 rounds the buffer to whole kbit.
-_X264_THIN = _Effort(
-    crf=None,
-    rate_over_cap=Fraction(135, 100),
-    buffer_over_share=Fraction(106, 100),
-    coarsest=48,
-    parameters=f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=dia:subme=6:trellis=1:qpstep=8",
-)
+#: For few macroblocks: 430 of them take 3 ms of a core.
+_X264_THIN = f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=dia:subme=6:trellis=1:qpstep=8"
 #: For a session on two cores: 6 to 8 ms a picture at 512 kbit/s.
-_X264_WIDE = _Effort(
-    crf=1,
-    rate_over_cap=Fraction(102, 100),
-    buffer_over_share=Fraction(1),
-    coarsest=51,
-    parameters=f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=hex:subme=2:trellis=0:qpstep=8",
-)
+_X264_WIDE = f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=hex:subme=2:trellis=0:qpstep=8"
 #: Twice the time, and 0.8 to 1.4 dB more at 512 kbit/s, where pictures have 36 to 46 dB.
-_X264_WIDE_THOROUGH = replace(
-    _X264_WIDE, parameters=f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=hex:subme=6:trellis=1:qpstep=8"
-)
-#: The fill rate of the model over the cap is at most this.
-_MOST_OVER_CAP = Fraction(102, 100)
-#: The same where no picture may be late: larger sizes take longer to code.
-_PUNCTUAL_RATE = Fraction(104, 100)
+_X264_WIDE_THOROUGH = f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=hex:subme=6:trellis=1:qpstep=8"
 
 
 class H264Settings(EncoderSettings):
     """Settings of x264 for pictures of this coded size and rate under this cap."""
 
     library: ClassVar[str] = "libx264"
+    _share_fill: ClassVar[Fraction] = Fraction(135, 100)
 
     def open(self) -> OpenEncoder:
         """Return libx264 itself, or else PyAV's encoder."""
@@ -133,35 +138,15 @@ class H264Settings(EncoderSettings):
     def options(self) -> dict[str, str]:
         """Options of FFmpeg's libx264."""
         wide = _X264_WIDE_THOROUGH if self.search == "thorough" else _X264_WIDE
-        effort = _X264_THIN if self.is_thin else wide
-        coarsest = _PUNCTUAL if self.punctual else effort.coarsest
-        over_cap = effort.rate_over_cap
-        if self.punctual:
-            over_cap = min(over_cap, _PUNCTUAL_RATE)
-        rate = int(self.cap_bps * over_cap)
-        most = int(self.cap_bps * max(over_cap, _MOST_OVER_CAP))
-        # x264 rounds both to whole kbit. A buffer of 0 would be none, and pictures of any size.
-        buffer = max(int(self.cap_bps * effort.buffer_over_share / self.rate), 1000)
-        while (least := self._least_fill_bps(buffer)) > most and buffer >= 2000:
-            buffer -= 1000
-        fill = str(min(max(rate, min(least, most)), max(self._most_fill_bps(buffer), 1000)))
+        parameters = _X264_THIN if self.is_thin else wide
+        parameters += f":qpmax={self.coarsest}{_X264_REGIONS * self.regions}"
         return {
             "preset": self.preset or "superfast",
             "tune": "zerolatency",
             "intra-refresh": "1",
-            **({"b": fill} if effort.crf is None else {"crf": str(effort.crf)}),
-            "maxrate": fill,
-            "bufsize": str(buffer),
-            "x264-params": f"{effort.parameters}:qpmax={coarsest}{_X264_REGIONS * self.regions}",
+            **self.buffer_model(),
+            "x264-params": parameters,
         }
-
-    def _most_fill_bps(self, buffer: int) -> int:
-        # x264 makes the buffer as large as a picture's share of the rate, in whole kbit.
-        return (ceil((buffer // 1000 + 1) * self.rate) - 1) * 1000
-
-    def _least_fill_bps(self, buffer: int) -> int:
-        # For x264 to hold each picture to the buffer, 1.1 times its share must be more than that.
-        return int(buffer // 1000 * self.rate * 10 / 11 + 1) * 1000
 
 
 #: As with x264: no lookahead, one thread, no psychovisual options, no adaptive quantisation and no
@@ -181,18 +166,13 @@ _X265_THIN = "fast", ":ref=3:rd=3:subme=2:qpstep=8"
 #: For more, at 512 kbit/s and 30 Hz: 5 to 10 ms a picture; for a thorough search 7 to 20 ms.
 _X265_WIDE = "ultrafast", ""
 _X265_WIDE_THOROUGH = "superfast", ""
-#: The fill rate of the buffer model over the cap. It holds each picture to its share. Going
-#: from 1.1 to 1 gains 0.1 dB; below 1, 1 dB is lost.
-_RATE_OVER_CAP, _WIDE_RATE = Fraction(1), Fraction(102, 100)
-_BUFFER_OVER_SHARE = Fraction(106, 100)
-#: The largest quantiser; as of x264.
-_COARSEST = 48
 
 
 class H265Settings(EncoderSettings):
     """Settings of x265 for pictures of this coded size and rate under this cap."""
 
     library: ClassVar[str] = "libx265"
+    _share_fill: ClassVar[Fraction] = Fraction(1)
 
     @property
     def has_waves(self) -> bool:
@@ -204,19 +184,12 @@ class H265Settings(EncoderSettings):
         thin = self.is_thin
         wide = _X265_WIDE_THOROUGH if self.search == "thorough" else _X265_WIDE
         preset, search = _X265_THIN if thin else wide
-        over_cap = _RATE_OVER_CAP if thin else _WIDE_RATE
-        # x265 takes whole kbit, and 0 would mean no buffer.
-        fill = max(int(self.cap_bps * over_cap) // 1000, 1) * 1000
-        buffer = max(int(self.cap_bps * _BUFFER_OVER_SHARE / self.rate) // 1000, 1) * 1000
-        coarsest = _PUNCTUAL if self.punctual or not thin else _COARSEST
-        parameters = f"{_X265_ALWAYS}{search}:qpmax={coarsest}"
+        parameters = f"{_X265_ALWAYS}{search}:qpmax={self.coarsest}"
         parameters += _X265_REGIONS if self.regions else _X265_NO_REGIONS
         return {
             "preset": self.preset or preset,
             "tune": "zerolatency",
             "forced-idr": "1",
-            "b": str(fill),
-            "maxrate": str(fill),
-            "bufsize": str(buffer),
+            **self.buffer_model(),
             "x265-params": parameters + _X265_WAVES * self.has_waves,
         }

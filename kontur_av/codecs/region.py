@@ -6,13 +6,17 @@ few columns much finer, and the rest as it is, takes fewer bits for the same qua
 still has its share of the cap, so none is late.
 """
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from typing import Self
 
 from kontur_av.errors import ConfigError
 
 _BLOCK = 16
 #: The most quantiser steps. At 12 the pictures become late (docs/experiments/video.md).
 MOST_STEPS = 9
+#: After a picture of this mean quantiser a region has no steps, and one more for each below. Else
+#: the rest cannot become coarser, and pictures are late.
+_COARSE = 48
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +34,17 @@ class Region:
     top: int
     width: int
     height: int
-    steps: int = 4
+    steps: int = 9
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise ConfigError(f"region of {self.width}x{self.height} pixels: take at least 1x1")
         if not 1 <= self.steps <= MOST_STEPS:
             raise ConfigError(f"region finer by {self.steps} steps: take 1 to {MOST_STEPS}")
+
+    def steps_after(self, quantiser: float) -> int:
+        """Return how many steps there are after a picture of this mean quantiser, from 0 on."""
+        return max(min(self.steps, round(_COARSE - quantiser)), 0)
 
     def in_blocks(
         self, full: tuple[int, int], coded: tuple[int, int]
@@ -52,6 +60,56 @@ class Region:
         if left >= right or top >= bottom:
             return None
         return left, top, right - left, bottom - top
+
+
+_FOCUS_FORM = "give X,Y,WIDTH,HEIGHT as shares of the picture, like 0.4,0.3,0.2,0.25, or off"
+
+
+@dataclass(frozen=True, slots=True)
+class Focus:
+    """Where a picture is to be finest: a rectangle in shares of the picture, 0 to 1.
+
+    x, y: its upper left corner, from the left and from the top. width, height: its size, above 0.
+
+    Raises ConfigError for numbers outside of this.
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+
+    def __post_init__(self) -> None:
+        shares = astuple(self)
+        if not (all(0 <= share <= 1 for share in shares) and self.width and self.height):
+            raise ConfigError(f"focus {self}: {_FOCUS_FORM}")
+
+    @classmethod
+    def parse(cls, text: str) -> Self | None:
+        """Return what X,Y,WIDTH,HEIGHT says; None for `off`. Raises ConfigError."""
+        if text == "off":
+            return None
+        try:
+            return cls(*map(float, text.split(",")))
+        except (TypeError, ValueError):
+            raise ConfigError(f"focus {text}: {_FOCUS_FORM}") from None
+
+    @classmethod
+    def around(cls, x: float, y: float, width: float, height: float) -> Self:
+        """Return a rectangle of this size around a point, moved to lie within the picture."""
+        left, top = (
+            min(max(centre - size / 2, 0.0), 1 - size) for centre, size in ((x, width), (y, height))
+        )
+        return cls(left, top, width, height)
+
+    def __str__(self) -> str:
+        return ",".join(f"{share:.3g}" for share in astuple(self))
+
+    def region(self, width: int, height: int) -> Region:
+        """Return it in pixels of a picture of this size."""
+        left, right = round(self.x * width), round((self.x + self.width) * width)
+        top, bottom = round(self.y * height), round((self.y + self.height) * height)
+        return Region(left, top, max(right - left, 1), max(bottom - top, 1))
 
 
 def _blocks(start: int, length: int, full: int, coded: int) -> tuple[int, int]:

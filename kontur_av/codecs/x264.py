@@ -142,7 +142,7 @@ class X264Encoder:
         self._set(f"intra-refresh={options['intra-refresh']}:{options['x264-params']}")
         self._set(_rates(options))
         self._measure_silently()
-        (c_int * 2).from_buffer(self._param, _SIZE_AT * sizeof(c_int))[:] = size
+        (c_int * 2).from_buffer(self._param, _SIZE_AT * sizeof(c_int))[:] = [*size]
         self._encoder = getattr(self._x264, f"x264_encoder_open_{library.build}")(self._param)
         if not self._encoder:
             raise ConfigError(f"libx264 refuses {width}x{height} at {float(rate):g} Hz")
@@ -208,10 +208,8 @@ class X264Encoder:
 
 
 def _rates(options: dict[str, str]) -> str:
-    rates = [("bitrate", options.get("b")), ("vbv-maxrate", options["maxrate"])]
-    rates += [("vbv-bufsize", options["bufsize"])]
-    kbit = ":".join(f"{name}={int(bits) // 1000}" for name, bits in rates if bits is not None)
-    return f"crf={options['crf']}:{kbit}" if "crf" in options else kbit
+    names = ("bitrate", "b"), ("vbv-maxrate", "maxrate"), ("vbv-bufsize", "bufsize")
+    return ":".join(f"{name}={int(options[of]) // 1000}" for name, of in names)
 
 
 @cache
@@ -239,7 +237,7 @@ def found() -> Library | None:
 def _codes(library: Library) -> bool:
     """Return whether it codes a grey picture, and tells of it what such a picture can have."""
     grey = np.full((96, 64), 128, np.uint8)
-    options = {"preset": "superfast", "tune": "zerolatency", "intra-refresh": "1", "crf": "20"}
+    options = {"preset": "superfast", "tune": "zerolatency", "intra-refresh": "1", "b": "100000"}
     options |= {"maxrate": "100000", "bufsize": "10000", "x264-params": "qpmax=51"}
     try:
         encoder = X264Encoder(library, (64, 64), Fraction(30), 60, options)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kontur_av.clock import NS_PER_S, Clock
-from kontur_av.media import BLOCK_SAMPLES, AudioFrame, CaptureStamp
+from kontur_av.media import BLOCK_SAMPLES, AudioFrame, CaptureStamp, Tip
 from kontur_av.returned import PartError, fault_of, taken
 from kontur_av.sources.source import RETRY_NS, AudioSource, StampingSource, VideoSource
 
@@ -49,6 +49,15 @@ class UserSource(StampingSource):
             self._fault(fault_of("read()", error))
             pause_ns: int = min(arguments[-1], RETRY_NS)
             self._clock.sleep_until_ns(self._clock.now_ns() + pause_ns)
+            return None
+
+    def tip(self) -> Tip | None:
+        """Return where the user's camera sees the robot's tip, if its method `tip` says so."""
+        try:
+            tip = getattr(self._source, "tip", lambda: None)()
+            return None if tip is None else taken(Tip, tip, "tip()")
+        except Exception as error:
+            self._fault(fault_of("tip()", error))
             return None
 
     def close(self) -> None:

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
 from kontur_av.codecs.decoder import DecodedPicture
+from kontur_av.codecs.region import Focus
 from kontur_av.errors import ConfigError, one_of, refused, whole
 from kontur_av.media import (
     BLOCK_NS,
@@ -247,6 +248,7 @@ class PictureSender(_Sender[Picture]):
         self._codec = one_of(codec, VIDEO_CODECS, "codec")
         self._source = _Pictures(1)
         self._shape: tuple[int, ...] = ()
+        self._focus: Focus | None = None
 
     def send(self, picture: Picture) -> None:
         """Wait for the picture's turn, and hand it over. Its capture time is that of the call.
@@ -258,6 +260,16 @@ class PictureSender(_Sender[Picture]):
         picture = self._checked(picture)
         self._clock.sleep_until_ns(capture_ns + self._turn_ns())
         self._source.put(picture.copy(), capture_ns)
+
+    def focus(self, x: float, y: float, width: float, height: float) -> None:
+        """Code a part of the pictures finer from now on, at the cost of the rest.
+
+        x, y: its upper left corner; all four are shares of the picture, 0 to 1. A width of 0 takes
+        it away. Raises ConfigError for other numbers.
+        """
+        self._focus = Focus(x, y, width, height) if width else None
+        if isinstance(self._feed, PictureFeed):
+            self._feed.focus = self._focus
 
     async def asend(self, picture: Picture) -> None:
         """As `send`, in an event loop."""
@@ -282,7 +294,9 @@ class PictureSender(_Sender[Picture]):
                 fps=self._fps,
                 cap_bps=self._cap_bps,
                 codec=self._codec,
+                regions=True,
             )
+            feed.focus = self._focus
             self._shape = picture.shape
             self._begin(feed)
         elif picture.shape != self._shape:

@@ -9,6 +9,7 @@ from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import Search
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusEncoder
+from kontur_av.codecs.region import Focus
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
     AUDIO_PAYLOAD_TYPE,
@@ -66,6 +67,7 @@ class PictureFeed:
         refresh_s: float | None = None,
         search: Search = "thorough",
         codec: VideoCodec = "h264",
+        regions: bool = False,
     ) -> None:
         width, height = size
         coded_hz = coded_rate_for(fps, cap_bps)
@@ -79,8 +81,11 @@ class PictureFeed:
                 coded_size=coded,
                 refresh_s=REFRESH_S if refresh_s is None else refresh_s,
                 search=search,
+                regions=regions,
             )
 
+        #: Where pictures are coded finer, of a feed with `regions`.
+        self.focus: Focus | None = None
         encoder = make(coded_size)
         self.size, self.coded_size = size, encoder.coded_size
         self.sender = VideoSender(
@@ -129,7 +134,8 @@ class PictureFeed:
             self.sender.handle_picture(stamp, self._clock.now_ns())
         coding = self.sender.poll_encode(self._clock.now_ns())
         if coding is not None:
-            self._encoding.submit(VideoFrame(self._newest, self._stamp), coding)
+            region = None if self.focus is None else self.focus.region(*self.size)
+            self._encoding.submit(VideoFrame(self._newest, self._stamp), coding, region)
 
     def finish(self) -> None:
         """Encode no more pictures."""

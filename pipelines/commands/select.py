@@ -1,9 +1,11 @@
-"""`kontur-av select`: switch the camera of a running session."""
+"""`kontur-av select`: switch the camera of a running session, or choose what of it is finest."""
 
 import argparse
 import sys
 
+from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
+from pipelines.mission.choosing import CAMERA, FOCUS, SELECT
 from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
 from pipelines.mission.tmtc_socket import tmtc_socket_name
@@ -13,25 +15,39 @@ from pipelines.session.setup.segments import Segment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("camera", metavar="CAMERA", help="for example stereo, static or head")
     parser.description = (
-        "Ask the ground to send another camera's pictures up, and wait for its acknowledgement. "
-        "Exit code 1 if it refuses or no answer comes."
+        "Ask the ground to send another camera's pictures up, or to code a part of them finer, and "
+        "wait for its acknowledgement. Exit code 1 if it refuses or no answer comes."
     )
-    add_options(parser, "--session")
+    add_options(
+        parser,
+        "camera CAMERA <?>  for example stereo, static or head",
+        "--focus X,Y,W,H  code this rectangle finer: its left and upper edge, width and height, as "
+        "shares of the picture from 0 to 1, like 0.4,0.3,0.2,0.25; off takes it away",
+        "--session",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 once the ground has acknowledged the camera; 1 if it refused, or no answer came."""
+    """0 once the ground has acknowledged all; 1 if it refused, or no answer came."""
+    steps = []
+    if args.camera is not None:
+        steps.append((f"{args.camera} is selected", SELECT, args.camera))
+    if args.focus is not None:
+        steps.append((f"the focus is {args.focus}", FOCUS, args.focus))
+    if not steps:
+        raise ConfigError("nothing to select: give CAMERA, or --focus X,Y,W,H")
     try:
         running = running_sessions(tmtc_socket_name(Segment.SPACE))
         with JoinedSession(acting_on(args.session, running)) as session:
-            end = session.select(args.camera)
+            for done, function, argument in steps:
+                end = session.command(CAMERA, function, argument)
+                if not end.ok:
+                    why = selection_error(f"{function} {argument}", end)
+                    print(f"kontur-av: {why}", file=sys.stderr)
+                    return 1
+                print(f"{done}; acknowledged after {end.round_trip_ms:.1f} ms")
     except ConnectionError:
         print("kontur-av: the session has not answered", file=sys.stderr)
         return 1
-    if not end.ok:
-        print(f"kontur-av: {selection_error(args.camera, end)}", file=sys.stderr)
-        return 1
-    print(f"{args.camera} is selected; acknowledged after {end.round_trip_ms:.1f} ms")
     return 0

@@ -34,7 +34,7 @@ from pipelines.hand.safety_ends import (
     within,
 )
 from pipelines.hand.timed_calls import take_power
-from pipelines.media.following import HALVES_TOPIC, SELECTED_TOPIC
+from pipelines.media.following import HALVES_TOPIC, ROBOT_TIPS_TOPIC, SELECTED_TOPIC, TIP_EVERY_NS
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
@@ -147,6 +147,9 @@ class _Robot:
         # Only a kernel orders.
         self._orders = TopicReader(bus, ROBOT_ORDER_TOPIC, depth=_ORDERS, opened=tasks)
         self._commands = TopicReader(bus, ROBOT_COMMAND_TOPIC, depth=_ORDERS)
+        #: Of a user's robot, whose driver may say where cameras see its tip.
+        self._driven = robot if isinstance(robot, DrivenRobot) and setup.region != "off" else None
+        self._tips, self._tips_due_ns = TopicWriter(bus, ROBOT_TIPS_TOPIC), 0
         self._view = CameraWatch(setup, envelope)
         self._choices = TopicReader(bus, SELECTED_TOPIC)
         self._halves = TopicReader(bus, HALVES_TOPIC, opened=STEREO in setup.cameras)
@@ -170,6 +173,9 @@ class _Robot:
         # After what takes orders, so that a restarted process knows them.
         self._kept.keep(ROBOT, self._service.orders)
         self._watch_cameras(now_ns)
+        if self._driven is not None and now_ns >= self._tips_due_ns:
+            self._tips_due_ns = now_ns + TIP_EVERY_NS
+            self._tips.publish_read(self._driven.tips(), now_ns)
         if (exercises := self._exercises.changed()) is not None:
             self._service.control.handle_exercise(exercises.robot_ns)
         if isinstance(self._partner, SharedArm):

@@ -10,7 +10,7 @@ from pipelines.hand.hand_topics import (
     ROS2_HAND_TOPIC,
 )
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
-from pipelines.media.following import HALVES_TOPIC, SELECTED_TOPIC
+from pipelines.media.following import HALVES_TOPIC, ROBOT_TIPS_TOPIC, SELECTED_TOPIC
 from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
@@ -63,6 +63,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 ROBOT_TOPIC,
                 ROBOT_STATUS_TOPIC,
                 ROBOT_TRACE_TOPIC,
+                ROBOT_TIPS_TOPIC,
                 *given(shared, ARM_STATE_TOPIC),
             ),
             ports=(taken,) if shared or board else (),

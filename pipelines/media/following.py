@@ -6,8 +6,8 @@ from itertools import count
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.codecs.region import Region
-from kontur_av.media import CaptureStamp
+from kontur_av.codecs.region import Focus, Region
+from kontur_av.media import CaptureStamp, Tip, Tips
 from pipelines.session.setup.table import Setup
 from pipelines.session.topic import Topic
 from telepresence.world.board import BoardView
@@ -17,16 +17,23 @@ AGAIN_NS = 100 * NS_PER_MS
 
 
 class Choice(NamedTuple):
-    """Which camera is selected. number: grows with each choice, also when the selector restarts."""
+    """Which camera is selected, and where a person wants its picture finest; None: nowhere.
+
+    number: grows with each choice, also when the selector restarts.
+    """
 
     number: int
     camera: str
+    focus: Focus | None = None
 
 
 #: The camera that the sender of the uplink video must follow, and the choice that it has confirmed.
 SELECTED_TOPIC = Topic[Choice]("selected/uplink_video", Choice, "the selected camera")
 FOLLOWED_TOPIC = Topic[int](
     "followed/uplink_video", int, "number of the choice that the sender follows"
+)
+ROBOT_TIPS_TOPIC = Topic[Tips](
+    "robot/tips", Tips, "where the robot's driver sees its tip, by camera"
 )
 HALVES_TOPIC = Topic[int](
     "camera/halves", int, "when the older half of the merged picture was captured (ns)"
@@ -96,60 +103,78 @@ class CameraFollower:
         return replace(stamp, sequence=next(self._pictures))
 
 
-#: A tip that was seen longer ago may be anywhere.
+#: A robot's state that is older may be wrong. Drivers say less often where they see the tip.
 _STALE_NS = 200 * NS_PER_MS
-#: The sides of the region, as a share of the picture's longer side: 96 of 640 pixels.
+TIP_EVERY_NS, _TIP_STALE_NS = 200 * NS_PER_MS, 600 * NS_PER_MS
+#: The sides of the region around a tip, as a share of the picture's longer side: 96 of 640 pixels.
 _SHARE = 0.15
-#: docs/experiments/video.md: the tip gains 0.9 dB, the rest loses 0.1 to 0.4.
-_STEPS = 4
 
 
-class TipRegion:
-    """The region of interest around the tip, for the camera that is selected. A core.
+class FocusRegion:
+    """Where pictures are coded finer: where a person says, else around the tip. A core.
 
-    views: by camera, where the board is in its pictures. A camera without a view has no region.
-    width, height: size of the pictures in pixels.
+    person: the rectangle that a person has chosen.
+    views: by camera, where the board is in its pictures. width, height: of pictures, in pixels.
+    focused: pictures that had a region; newest: that of the last picture.
     """
 
     def __init__(self, views: Mapping[str, BoardView], *, width: int, height: int) -> None:
-        self._views = dict(views)
-        self._side = round(_SHARE * max(width, height))
+        self.person: Focus | None = None
+        self.newest: Focus | None = None
+        self.focused = 0
+        self._views, self._width, self._height = dict(views), width, height
+        side = _SHARE * max(width, height)
+        self._size = side / width, side / height
         self._tip_m: tuple[float, float] | None = None
         self._seen_ns = 0
+        #: By camera: where a driver sees the tip, and since when.
+        self._tips: dict[str, tuple[Tip, int]] = {}
 
     def handle_tip(self, x_m: float, y_m: float, seen_ns: int) -> None:
         """The tip was at this place of the board (metres) at `seen_ns`."""
-        self._tip_m = x_m, y_m
-        self._seen_ns = seen_ns
+        self._tip_m, self._seen_ns = (x_m, y_m), seen_ns
+
+    def handle_tips(self, tips: Tips, seen_ns: int) -> None:
+        """A driver says where the tip is in the pictures of these cameras."""
+        self._tips |= {camera: (tip, seen_ns) for camera, tip in tips.items()}
 
     def region(self, camera: str | None, now_ns: int) -> Region | None:
-        """Return the region for a picture of `camera`; None without one.
+        """Return the region for a picture of `camera`; None without one."""
+        self.newest = focus = self.person or self._around_tip(camera, now_ns)
+        if focus is None:
+            return None
+        self.focused += 1
+        return focus.region(self._width, self._height)
 
-        There is none if the camera has no view, if no tip is known or it is older than 0.2 s, or
-        if the tip is behind the camera.
-        """
-        view = None if camera is None else self._views.get(camera)
+    def _around_tip(self, camera: str | None, now_ns: int) -> Focus | None:
+        """None if the tip is not known, or outside of the picture."""
+        if camera is None:
+            return None
+        tip, seen_ns = self._tips.get(camera, (None, 0))
+        if tip is None or now_ns - seen_ns > _TIP_STALE_NS:
+            tip = self._projected(camera, now_ns)
+        if tip is None or not (0 <= tip.x <= 1 and 0 <= tip.y <= 1):
+            return None
+        return Focus.around(*tip, *self._size)
+
+    def _projected(self, camera: str, now_ns: int) -> Tip | None:
+        """Where the robot's tip is by what is known of the camera."""
+        view = self._views.get(camera)
         if view is None or self._tip_m is None or now_ns - self._seen_ns > _STALE_NS:
             return None
         pixel = view.pixel(*self._tip_m)
-        if pixel is None:
-            return None
-        side = self._side
-        left, top = (round(centre - side / 2) for centre in pixel)
-        return Region(left, top, side, side, steps=_STEPS)
+        return None if pixel is None else Tip(pixel[0] / self._width, pixel[1] / self._height)
 
 
-def tip_region(setup: Setup) -> TipRegion | None:
-    """Return the region of a setup's uplink video; None if the setup wants none."""
-    if setup.region == "off":
-        return None
+def focus_region(setup: Setup) -> FocusRegion:
+    """Return what finds the regions of a setup's uplink video."""
     stream = setup.uplink_video
     views = {}
-    for camera in setup.cameras:
+    for camera in setup.cameras if setup.region == "stylus" else ():
         view = board_view(setup, camera)
         if view is not None:
             views[camera] = view
-    return TipRegion(views, width=stream.width, height=stream.height)
+    return FocusRegion(views, width=stream.width, height=stream.height)
 
 
 def board_view(setup: Setup, camera: str) -> BoardView | None:

@@ -7,6 +7,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import VideoCodec
 from kontur_av.metrics import Most, Newest
 from kontur_av.streams.staleness import State
+from pipelines.session.session_metrics import DatedEvent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +78,20 @@ class SelectorMetrics:
     switches: int = 0
     #: The selected camera.
     selected: str | None = None
+    #: Where a person wants the picture finest: X,Y,WIDTH,HEIGHT as shares of it, or `off`.
+    focus: str | None = None
+    #: When it changed, and which end asked for it: the newest 200.
+    focuses: tuple[DatedEvent, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FocusMetrics:
+    """Where the uplink's picture is coded finer."""
+
+    #: Pictures with a part that was coded finer.
+    focused: int = 0
+    #: That part of the newest picture: X,Y,WIDTH,HEIGHT as shares of it, or `off`.
+    in_focus: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,8 +7,9 @@ from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, PageVideo
 from kontur_av.sources.stereo import StereoPairer
+from kontur_av.sources.user import UserSource
 from kontur_av.topics.bus import Lease, Reader, TopicBus
-from pipelines.media.following import HALVES_TOPIC
+from pipelines.media.following import HALVES_TOPIC, TIP_EVERY_NS
 from pipelines.media.marking import StereoMerger
 from pipelines.media.media_metrics import StereoMetrics
 from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
@@ -137,6 +138,10 @@ class _Camera:
         self._takeover = Takeover.of_pictures(name)
         self._capturing = Capturing(context.probe)
         context.on_flush(self._report)
+        #: Where a user's class sees the robot's tip, in cameras that begin with this input.
+        self._tips, self._tip_due_ns = TopicWriter(bus, row.tip_topic), 0
+        cameras = context.topology.cameras
+        self._cameras = [camera.name for camera in cameras if camera.inputs[0] == name]
         self._name = name
         self._exercises = TopicReader(bus, TRAINER_TOPIC) if TRAINER_TOPIC in reads else None
         self._lost_until_ns = 0
@@ -160,6 +165,7 @@ class _Camera:
             self._capture(self._scene.skip(TIMEOUT_NS, self._wanted), drawn=False)
         else:
             self._capture(self._source.read(self._loan.picture, TIMEOUT_NS), drawn=True)
+            self._publish_tip(now_ns)
 
     def close(self) -> None:
         self._loan.give_back()
@@ -213,6 +219,13 @@ class _Camera:
         loan = self._preview.loan_picture(*self._small)
         reduce(picture, loan.picture)
         loan.publish(stamp)
+
+    def _publish_tip(self, now_ns: int) -> None:
+        if now_ns < self._tip_due_ns or not isinstance(self._source, UserSource):
+            return
+        self._tip_due_ns = now_ns + TIP_EVERY_NS
+        if self._tips.has_readers() and (tip := self._source.tip()) is not None:
+            self._tips.publish(dict.fromkeys(self._cameras, tip), now_ns)
 
     def _wanted(self) -> bool:
         return self._writer.has_readers() or (

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import Clock
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder
-from kontur_av.media import VideoFrame
+from kontur_av.media import Tips, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus
@@ -42,6 +42,7 @@ class VideoOutlet:
         self, context: Context, bus: TopicBus, stream: VideoStream, *, follows: bool = False
     ) -> None:
         self._clock, row = context.clock, context.topology.video(stream.name)
+        self.reads = context.topology.reads(row.sender)
         self.end = VideoSendEnd[Lease](
             context.setup,
             stream,
@@ -130,12 +131,13 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
             fps=stream.coded_hz,
             cap_bps=stream.cap_bps,
             coded_size=stream.coded,
-            regions=end.regions,
+            regions=follows,
         )
         choices = TopicReader(bus, SELECTED_TOPIC, opened=follows)
         chosen = [choices.port] if choices.port else []
         confirmed = TopicWriter(bus, FOLLOWED_TOPIC, wake=True) if follows else None
-        robot = TopicReader(bus, ROBOT_TOPIC, opened=end.regions)
+        robot = TopicReader(bus, ROBOT_TOPIC, opened=ROBOT_TOPIC in outlet.reads)
+        tips = [TopicReader(bus, topic) for topic in outlet.reads if topic.type == Tips]
         pictures = _Pictures(bus, topic)
         # The thread reads shared memory, so it ends before the bus.
         with EncodingThread(encoder, clock) as encoding:
@@ -162,6 +164,9 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
                     confirmed.publish(number, clock.now_ns())
                 if (state := robot.latest()) is not None:
                     end.handle_state(state)
+                for reader in tips:
+                    if (seen := reader.latest()) is not None:
+                        end.focus.handle_tips(seen, reader.newest_ns)
                 if (work := end.poll_encode(clock.now_ns())) is not None:
                     encoding.submit(pictures.frame_of(work), work.coding, work.region)
             del waiter

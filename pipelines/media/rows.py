@@ -2,7 +2,12 @@
 
 from collections.abc import Iterable
 
-from pipelines.media.following import FOLLOWED_TOPIC, HALVES_TOPIC, SELECTED_TOPIC
+from pipelines.media.following import (
+    FOLLOWED_TOPIC,
+    HALVES_TOPIC,
+    ROBOT_TIPS_TOPIC,
+    SELECTED_TOPIC,
+)
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC, ROBOT_TOPIC
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import STEREO, STEREO_INPUTS
@@ -68,7 +73,7 @@ def _capture(session: Topology, row: InputRow) -> ProcessRow:
         arguments={"name": row.name, "stream": media.stream} if video else {"name": row.name},
         priority=PICTURE_PRIORITY if video else VOICE_PRIORITY,
         reads=(ROBOT_TOPIC, row.page_topic, *given(video, TRAINER_TOPIC, MISSION_LEDS_TOPIC)),
-        writes=(row.topic, *given(video, row.preview_topic)),
+        writes=(row.topic, *given(video, row.preview_topic, row.tip_topic)),
         what="captures pictures" if video else "captures sound",
     )
 
@@ -79,6 +84,8 @@ def _sender(session: Topology, row: MediaRow) -> ProcessRow:
     selected = row.name == session.setup.uplink_video.name
     cameras = tuple(camera.topic for camera in session.cameras)
     topic = None if selected else session.input(row.inputs[0]).topic
+    follows_tip = selected and session.setup.region != "off"
+    tips = (one.tip_topic for one in session.inputs if one.name in row.inputs)
     taken: tuple[AnyTopic, ...] = (SELECTED_TOPIC, *cameras) if topic is None else (topic,)
     return ProcessRow(
         name=row.sender,
@@ -90,7 +97,7 @@ def _sender(session: Topology, row: MediaRow) -> ProcessRow:
         reads=(
             *taken,
             row.backlog_topic,
-            *given(selected and session.setup.region != "off", ROBOT_TOPIC),
+            *given(follows_tip, ROBOT_TOPIC, ROBOT_TIPS_TOPIC, *tips),
         ),
         writes=(*given(selected, FOLLOWED_TOPIC), row.sent_topic),
         what="encodes and sends pictures" if video else "encodes and sends sound",

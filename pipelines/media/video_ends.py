@@ -11,8 +11,9 @@ from kontur_av.codecs.region import Region
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.sender import RtpIdentity
-from pipelines.media.following import CameraFollower, Choice, tip_region
+from pipelines.media.following import CameraFollower, Choice, focus_region
 from pipelines.media.gain import LinkedVideoSender, gain_of
+from pipelines.media.media_metrics import FocusMetrics
 from pipelines.media.stream_metrics import (
     Outgoing,
     note_unit,
@@ -71,7 +72,8 @@ class VideoSendEnd(Generic[PictureT]):
         self._outgoing = Outgoing(self._sender, probe, *send)
         self._probe, self._release = probe, release
         self._follower = CameraFollower() if follows else None
-        self._tip = tip_region(setup) if follows else None
+        #: Where pictures are coded finer, of a sender that follows.
+        self.focus = focus_region(setup)
         #: No picture has come since another camera was selected.
         self._new = False
         #: Pictures before the newest one that were left out.
@@ -88,14 +90,10 @@ class VideoSendEnd(Generic[PictureT]):
         """The camera to take pictures of, of a sender that follows."""
         return None if self._follower is None else self._follower.camera
 
-    @property
-    def regions(self) -> bool:
-        """Whether pictures may have a region, around the state of `handle_state`."""
-        return self._tip is not None
-
     def handle_choice(self, choice: Choice) -> bool:
         """Return whether pictures of another camera are to be taken from now on."""
         assert self._follower is not None
+        self.focus.person = choice.focus
         if not self._follower.handle_choice(choice):
             return False
         self._new = True
@@ -126,8 +124,7 @@ class VideoSendEnd(Generic[PictureT]):
 
     def handle_state(self, state: WorldState) -> None:
         """The newest state of the robot."""
-        if self._tip is not None:
-            self._tip.handle_tip(state.x_m, state.y_m, state.time_ns)
+        self.focus.handle_tip(state.x_m, state.y_m, state.time_ns)
 
     def handle_unit(self, unit: AccessUnit, encoded_ns: int, now_ns: int) -> None:
         """The picture of `poll_encode` is encoded, since `encoded_ns`."""
@@ -157,8 +154,7 @@ class VideoSendEnd(Generic[PictureT]):
         (picture, stamp), self._waiting, self._busy = self._waiting, None, True
         if follower is not None:
             stamp = follower.restamp(stamp)
-            if self._tip is not None:
-                region = self._tip.region(follower.camera, now_ns)
+            region = self.focus.region(follower.camera, now_ns)
         return ToEncode(picture, stamp, coding, region)
 
     def poll_timeout(self, now_ns: int) -> int | None:
@@ -172,6 +168,9 @@ class VideoSendEnd(Generic[PictureT]):
     def publish(self) -> None:
         """Put the counters into the probe."""
         publish_sender(self._probe, self._sender, self._linked.gain)
+        if self._follower is not None:
+            newest = str(self.focus.newest or "off")
+            self._probe.publish(FocusMetrics(focused=self.focus.focused, in_focus=newest))
 
 
 #: Timestamp, width, height, and whether the decoder found damage in it.

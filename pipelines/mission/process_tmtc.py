@@ -176,9 +176,7 @@ def run_selector(context: Context) -> None:
     # A selector that was killed goes on with its last choice.
     remembered = session_root(context.session) / "selected"
     known = remembered.read_text("ascii") if remembered.exists() else ""
-    choice = CameraChoice(
-        context.setup.cameras, context.probe, now_ns=clock.now_ns(), selected=known
-    )
+    choice = CameraChoice(context.setup.cameras, context.probe, now_ns=clock.now_ns(), kept=known)
     udp = context.listen_own(topology.exit_port(TELECOMMAND))
     to_gateway = context.own_sender(topology.entry_port(TELEMETRY))
     context.on_flush(choice.publish)
@@ -205,7 +203,7 @@ def run_selector(context: Context) -> None:
             while asked:
                 changed |= choice.handle_asked(asked.popleft(), now_ns)
             if changed:
-                remember(remembered, choice.selected.encode("ascii"))
+                remember(remembered, choice.kept.encode("ascii"))
             if (told := choice.poll_choice(now_ns)) is not None:
                 writer.publish(told, now_ns)
             if (confirmed := followed.latest()) is not None:

@@ -58,6 +58,7 @@ _ANSWER_NS = 500 * NS_PER_MS
 _KNOWN_DEPTH = 256
 _NEWS_DEPTH = 256
 _SOURCES = {Segment.GROUND: 1, Segment.SPACE: 2}
+_ORIGINS = {source: segment.value for segment, source in _SOURCES.items()}
 #: The applications that speak K2ACI.
 _K2ACI = {Segment.SPACE: "panel", Segment.GROUND: "tasks"}
 
@@ -202,7 +203,9 @@ class TmtcEnd:
                 if isinstance(event, FunctionRequest):
                     if event.token is not None:
                         self._asked[name, event.token] = now_ns + FUNCTION_NS
-                    self._add(FunctionAsked(name, event.token, event.function, event.arguments))
+                    origin = _ORIGINS.get(event.source, "another system")
+                    call = event.token, event.function, event.arguments
+                    self._add(FunctionAsked(name, *call, origin))
                 else:
                     self._add(ParameterChanged(name, event.name, event.value))
         while (heard := self._user.next_event()) is not None:

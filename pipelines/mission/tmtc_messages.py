@@ -124,13 +124,14 @@ class CommandUpdate(msgspec.Struct, frozen=True, tag=True, omit_defaults=True):
 class FunctionAsked(msgspec.Struct, frozen=True, tag=True):
     """Carry out a function of an application of this end, then send `FunctionDone`.
 
-    token: None after an event: nobody waits for its result.
+    token: None after an event: nobody waits for its result. origin: the end that asks.
     """
 
     application: str
     token: int | None
     function: str
     arguments: tuple[Value, ...] = ()
+    origin: str = ""
 
 
 class ParameterChanged(msgspec.Struct, frozen=True, tag=True):
@@ -316,12 +317,13 @@ def update_words(update: CommandUpdate) -> str:
     return f"{about}{_tries(update)}: {update.reason}"
 
 
-def selection_error(camera: str, update: CommandUpdate) -> str:
+def selection_error(about: str, update: CommandUpdate) -> str:
+    """Why a telecommand to the selector failed. about: its words."""
     if update.verified or update.stage == "refused":
         return update.reason
     if update.reason == SUPERSEDED:
-        return f"select {camera}: {SUPERSEDED}"
-    return f"select {camera}: no acknowledgement came"
+        return f"{about}: {SUPERSEDED}"
+    return f"{about}: no acknowledgement came"
 
 
 def _tries(update: CommandUpdate) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from kontur_av.clock import NS_PER_S, NS_PER_US
 from kontur_av.streams.staleness import State
 from pipelines.media.marking import age_words
+from pipelines.media.media_metrics import SelectorMetrics
 from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
@@ -121,6 +122,7 @@ class EventLog:
         process = self._collector.process
         arm = process("robot").find(AuthorityMetrics)
         yield from self._dated("trainer", process(TRAINER).total(TrainerMetrics).exercises)
+        yield from self._dated("camera", process("selector").total(SelectorMetrics).focuses)
         yield from self._dated("robot", () if arm is None else arm.events)
         yield from self._dated("robot", process("robot").total(SafetyMetrics).events, "stop")
         # Events of users' components in telemetry, and their faults.

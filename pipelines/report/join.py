@@ -122,6 +122,7 @@ def join_reports(
         failures=[*ground.report.failures, *space.report.failures],
         warnings=[*ground.report.warnings, *space.report.warnings],
         exercises=_exercises(ends),
+        focus=ends[Segment.GROUND].report.focus,
         recorder=_recorder(ground.report.recorder, space.report.recorder),
         rtc=ground.report.rtc,
     )

@@ -588,6 +588,8 @@ class SessionReport(Report, frozen=True, kw_only=True):
     second_arm: SecondArmReport | None = None
     #: What the trainer did, oldest first.
     exercises: list[DatedEvent] | None = None
+    #: Which part of the uplink's picture people wanted finest, oldest first.
+    focus: list[DatedEvent] | None = None
     #: The recording.
     recorder: RecorderMetrics | None = None
     #: Clients of `--foxglove`.

@@ -13,7 +13,7 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.meters import Histogram
-from pipelines.media.media_metrics import DisplayMetrics
+from pipelines.media.media_metrics import DisplayMetrics, SelectorMetrics
 from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics
 from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.recording.recorder_metrics import RecorderMetrics
@@ -29,6 +29,7 @@ from pipelines.session.topology.topics import (
     RTC_DISPLAY,
     RTC_VOICE,
     SECOND_ROBOT,
+    SELECTOR,
     TASKS,
     TRAINER,
     component_process,
@@ -107,6 +108,12 @@ def second_arm_report(collector: Collector) -> model.SecondArmReport | None:
 def exercises(collector: Collector, epoch_ns: int) -> list[DatedEvent] | None:
     """Return what the trainer did; None if nothing."""
     told = collector.process(TRAINER).total(TrainerMetrics).exercises
+    return [*_since(epoch_ns, told)] or None
+
+
+def focuses(collector: Collector, epoch_ns: int) -> list[DatedEvent] | None:
+    """Return the changes of the focus; None without any."""
+    told = collector.process(SELECTOR).total(SelectorMetrics).focuses
     return [*_since(epoch_ns, told)] or None
 
 

@@ -103,6 +103,7 @@ def build_report(
         recorder=sections.recorder_report(collector),
         foxglove=collector.process(FOXGLOVE).find(FoxgloveMetrics),
         exercises=sections.exercises(collector, epoch_ns),
+        focus=sections.focuses(collector, epoch_ns),
         rtc=sections.rtc_report(collector, seconds),
         arm=sections.dated(collector.process(ROBOT).find(AuthorityMetrics), epoch_ns),
         safety=safety_report(collector),

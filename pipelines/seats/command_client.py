@@ -105,7 +105,7 @@ class CommandClient:
             camera = self._selects.pop(update.id, "")
             error = "" if update.ok else update.reason or update.stage
             if camera and error:
-                camera, error = "", tmtc_messages.selection_error(camera, update)
+                camera, error = "", tmtc_messages.selection_error(f"select {camera}", update)
             self._events.append(texts.Answered(*opened, error, update.round_trip_ms, camera))
 
 

@@ -55,7 +55,7 @@ _MAY: Mapping[str, tuple[Role, ...]] = {
     "chat": (*PEOPLE[Segment.SPACE], *PEOPLE[Segment.GROUND]),
     "housekeeping": (Role.SUPERVISOR, Role.SYSTEMS),
     **{f"joystick.{name}": (Role.COSMONAUT, Role.SUPERVISOR) for name in _JOYSTICK},
-    "camera.select": (Role.COSMONAUT,),
+    **{f"camera.{name}": (Role.COSMONAUT,) for name in ("select", "focus")},
     "panel.button": (Role.COSMONAUT,),
     "tasks.select": (Role.EXPERIMENTER,),
     "tasks.start": (Role.EXPERIMENTER,),

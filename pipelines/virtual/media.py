@@ -247,7 +247,7 @@ class Media:
 
     def _send_uplink_video(self) -> None:
         setup, stream = self._scene.setup, self._scene.setup.uplink_video
-        studio = self._studio(stream, setup.camera_inputs, regions=setup.region != "off")
+        studio = self._studio(stream, setup.camera_inputs, regions=True)
         sender = self._add_sender(
             stream,
             VideoSendProcess(self._scene, stream, studio, follows=True, robot=self._scene.robot),

@@ -9,6 +9,7 @@ from math import hypot, isfinite
 from typing import NamedTuple, Protocol, cast
 
 from kontur_av.errors import ConfigError
+from kontur_av.media import Tip, Tips
 from kontur_av.returned import PartError, fault_of, taken
 from telepresence.haptics.axes import AxisReading, MoreAxes, MoreAxis, SimulatedAxis
 from telepresence.haptics.robot import JointReading, Robot, RobotCapabilities
@@ -50,7 +51,8 @@ class RobotDevice(Protocol):
     switches it on and off; `power_off` at the end, whatever happens. An `emergency_off`, if it has
     one, takes its power after its process hung, without `configure`. In each cycle of 1 ms:
     `write_force` or `write_position` while it is active, then `advance`, then `read`. One whose
-    facts name more axes is a `MoreAxes`, too.
+    facts name more axes is a `MoreAxes`, too. A `tips`, if it has one, returns where cameras see
+    its tip: by camera, (x, y) as shares of the picture; it is called 5 times a second.
     """
 
     @property
@@ -227,6 +229,15 @@ class DrivenRobot(Robot):
 
     def led(self) -> int | None:
         return None
+
+    def tips(self) -> Tips:
+        """Return where cameras see the tip, as far as the driver says."""
+        try:
+            tips = dict(getattr(self.device, "tips", dict)())
+            return {str(camera): taken(Tip, tip, "tips()") for camera, tip in tips.items()}
+        except Exception as error:
+            self.error = fault_of("tips()", error)
+            return {}
 
     def _follow(self, *, active: bool) -> None:
         if active is self._active:

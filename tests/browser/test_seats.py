@@ -19,7 +19,7 @@ from numbered_pictures import (
     write_pictures,
 )
 from running_session import RunningSession, restarted
-from selenium.webdriver import ActionChains
+from selenium.webdriver import ActionChains, Keys
 
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC, ROBOT_TOPIC
@@ -276,6 +276,17 @@ def test_a_pointer_moves_the_robot_and_its_release_stops_it(space, robot):
     drag(space, 40, 0)
     time.sleep(0.3)
     assert abs(robot.x_m() - rest_m) < 0.002
+
+
+def test_a_drag_after_a_key_chooses_a_focus_and_moves_no_robot(space, robot):
+    part, act = "document.querySelector('.focus-part')", ActionChains(space.browser.driver)
+    space.wait(LIVE)
+    act.send_keys("f").click_and_hold(space.find("#picture")).move_by_offset(60, 40).perform()
+    assert not robot.held()
+    release(space)
+    space.wait(f"!{part}.hidden && {part}.dataset.pending === 'false'")
+    ActionChains(space.browser.driver).send_keys(Keys.DELETE).perform()
+    space.wait(f"{part}.hidden")
 
 
 def touch(page, kind, x=0):

@@ -136,7 +136,7 @@ class Ends:
                 if self.up:
                     self.space.handle_packet(octets, self.now_ns)
             while (event := self.oven.next_event()) is not None:
-                self.calls.append((type(event).__name__, tuple(event)[-2:]))
+                self.calls.append((type(event).__name__, tuple(event)[-3:][:2]))
                 if hasattr(event, "token"):
                     self.oven.handle_result(event.token, self.refusal, self.now_ns)
             while (octets := self.space.poll_transmit(self.now_ns)) is not None:

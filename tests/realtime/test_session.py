@@ -78,7 +78,7 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     session = start("spacejustin", "--snapshots", str(shots))
     session.pids()
     session.wait_for_flow()
-    done = session.select("head")
+    done = session.ask("select", "head", "--focus", "0.4,0.3,0.2,0.25")
     assert done.returncode == 0 and "head is selected" in done.stdout, done.stderr
     unknown = session.select("nosuch")
     assert unknown.returncode == 2 and "stereo, static, head" in unknown.stderr.splitlines()[1]
@@ -96,6 +96,8 @@ def test_every_stream_flows_through_one_link(start, tmp_path):
     report = session.finish(silent=True, clean=True, sound=True)
     assert_all_six_flowed(report)
     assert report["processes"]["selector"]["selected"] == "head"
+    assert report["processes"]["uplink_video_send"]["in_focus"] == "0.4,0.3,0.2,0.25"
+    assert [one["what"] for one in report["focus"]] == ["focus 0.4,0.3,0.2,0.25: asked from space"]
     assert report["link"]["downlink"]["packets"]["telecommand"] >= 2
     counts = report["processes"]["console"]["counts"]
     assert (counts["pus_executed"], counts["pus_failed"], counts["pus_garbage"]) == (1, 1, 0)

@@ -34,9 +34,9 @@ def test_a_camera_is_selected_after_a_loss_of_signal_unless_it_lasts_too_long(tm
     dark = "[[blackouts]]\nstart_s = 1\nseconds = 5\n"
     script = [Selection(2 * NS_PER_S, "static"), Selection(3 * NS_PER_S, "stereo")]
     earlier, later = answers(tmp_path, dark, script, 8)
-    assert selection_error("static", earlier) == "select static: a later request came"
+    assert selection_error("select static", earlier) == "select static: a later request came"
     assert later.ok and later.tries > 1
     dark = "[[blackouts]]\nstart_s = 1\nseconds = 40\n"
     (gone,) = answers(tmp_path, dark, [Selection(2 * NS_PER_S, "static")], 38)
     assert gone.done and not gone.verified
-    assert selection_error("static", gone) == "select static: no acknowledgement came"
+    assert selection_error("select static", gone) == "select static: no acknowledgement came"

@@ -3,6 +3,7 @@ import "./camera_panel.js";
 import "./contact_band.js";
 import "./event_list.js";
 import "./figure_table.js";
+import "./focus_frame.js";
 import "./haptic_charts.js";
 import "./link_octets.js";
 import "./link_table.js";

@@ -1,5 +1,6 @@
 /** The mission control panel: what the cosmonaut has to do, the picture, and the handle. */
 import "./board_overlay.js";
+import "./focus_frame.js";
 import "./force_dial.js";
 import "./hand_panel.js";
 import "./page_links.js";

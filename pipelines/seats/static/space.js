@@ -3,6 +3,7 @@ import "./board_overlay.js";
 import "./camera_buttons.js";
 import "./camera_panel.js";
 import "./contact_panel.js";
+import "./focus_frame.js";
 import "./force_dial.js";
 import "./hand_panel.js";
 import "./joystick_panel.js";

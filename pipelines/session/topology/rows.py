@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 
+from kontur_av.media import Tips
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.streams.lipsync import Lag
 from pipelines.session.setup.segments import Direction, Segment
@@ -203,6 +204,10 @@ class InputRow:
     @property
     def preview_topic(self) -> Topic[None]:
         return Topic(f"preview/{self.name}", None, "small picture, 5 a second")
+
+    @property
+    def tip_topic(self) -> Topic[Tips]:
+        return Topic(f"tip/{self.name}", Tips, "where the camera's driver sees the robot's tip")
 
     @property
     def page_topic(self) -> Topic[None]:

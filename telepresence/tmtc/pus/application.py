@@ -58,11 +58,13 @@ class FunctionRequest(NamedTuple):
     """Carry out a function, then call `handle_result` with `token`.
 
     token: None after an event (ST[19]): nobody waits for its result.
+    source: of the telecommand; 0 after an event.
     """
 
     token: int | None
     function: str
     arguments: tuple[Value, ...]
+    source: int = 0
 
 
 class ParameterSet(NamedTuple):
@@ -298,7 +300,7 @@ class PusApplication:
             raise _BusyError(f"{_MOST_OPEN} functions are in progress")
         token, self._next_token = self._next_token, self._next_token + 1
         self._open[token] = self._known[command]
-        self._requests.append(FunctionRequest(token, function.name, arguments))
+        self._requests.append(FunctionRequest(token, function.name, arguments, command.source))
 
     def _switch_housekeeping(self, command: Telecommand, now_ns: int, *, on: bool) -> str:
         for number in self._numbers(command, self._housekeeping.known, "structure"):

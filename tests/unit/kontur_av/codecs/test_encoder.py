@@ -75,8 +75,9 @@ def test_an_awaited_picture_is_softened_if_coded_small(pictures, monkeypatch):
     assert small[0] < 0.9 * sharp[0] and small[20] < sharp[20]
     assert list(large) == list(sizes(**full))
     # A new cap softens nothing.
+    # Another rate softens nothing.
     softened.clear()
-    units = encode(originals[:4], codings={2: Coding(cap_bps=113_000)})
+    units = encode(originals[:4], codings={2: Coding(rate_hz=20.0)})
     assert keys(units) == [0, 2] and len(softened) == 1
 
 
@@ -91,7 +92,7 @@ def test_a_thin_stream_is_coded_small_and_scaled_up(pictures):
 
 def test_another_rate_or_cap_begins_with_a_key_picture():
     size = {"coded_size": (320, 240)}
-    units = encode(moving(60), cap_bps=40_000, codings={30: Coding(rate_hz=15)}, **size)
+    units = encode(blocks(60), cap_bps=60_000, codings={30: Coding(rate_hz=15)}, **size)
     assert keys(units) == [0, 30]
     assert octets(units[30:]).sum() > 1.3 * octets(units[:30]).sum()
     coder = H265Encoder(width=320, height=240, fps=FPS, cap_bps=300_000, regions=True)

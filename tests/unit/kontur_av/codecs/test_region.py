@@ -10,7 +10,7 @@ from coding_loop import CAP_BPS, FPS, SHARE_OCTETS, decode, encode, enlarged, oc
 from common import psnr_db
 
 from kontur_av.codecs.h26x import H264Encoder
-from kontur_av.codecs.region import Region, Sharpening
+from kontur_av.codecs.region import Focus, Region, Sharpening
 from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture, planes
 
@@ -55,20 +55,13 @@ def test_a_region_becomes_whole_macroblocks_of_the_coded_picture(region, blocks)
     assert region.in_blocks(SIZE, (384, 288)) == blocks
 
 
-def test_a_region_that_moves_stays_within_the_picture():
-    for left in range(-100, 660, 7):
-        found = Region(left, left, 96, 96).in_blocks(SIZE, (382, 286))
-        assert (found is None) == (left <= -96 or left >= 480)
-        x, y, width, height = found or (0, 0, 1, 1)
-        assert x >= 0 and y >= 0 and width >= 1 and height >= 1
-        assert x + width <= 382 and y + height <= 286
-
-
 def test_what_cannot_be_a_region_is_refused():
     with pytest.raises(ConfigError, match="region of 0x96 pixels: take at least 1x1"):
         Region(0, 0, 0, 96)
     with pytest.raises(ConfigError, match="finer by 12 steps: take 1 to 9"):
         Region(0, 0, 96, 96, steps=12)
+    with pytest.raises(ConfigError, match=r"focus 0,0,2,1: give X,Y,WIDTH,HEIGHT"):
+        Focus(0, 0, 2, 1)
     with pytest.raises(ValueError, match="without regions"):
         encode([empty_picture(320, 240)], region=MIDDLE)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_S, ManualClock
-from kontur_av.media import AudioFrame, CaptureStamp, empty_picture
+from kontur_av.media import AudioFrame, CaptureStamp, Tip, empty_picture
 from kontur_av.sources.source import RETRY_NS
 from kontur_av.sources.user import UserSource
 
@@ -77,6 +77,9 @@ def test_nonsense_is_a_fault_with_the_name_of_the_source_and_the_mend(found, sai
 
 
 def test_its_own_faults_are_told():
+    _, source = read(stamp())
+    source._source.tip = lambda: (np.float32(0.5), 1)
+    assert source.tip() == Tip(0.5, 1.0)
     _, source = read(stamp(), faults=np.int32(2), last_fault="E17\nlens cap")
     assert (source.faults, source.last_fault) == (1, "own:Camera: E17 lens cap")
     assert "faults = None" in read(stamp(), faults=None)[1].last_fault

@@ -43,7 +43,9 @@ def test_what_is_no_picture_or_no_block_is_refused():
                 end.send(wrong)
         with pytest.raises(av.ConfigError, match="multiple of 4"):
             end.send(GREY[:95])
+        end.focus(0.25, 0.25, 0.5, 0.5)
         end.send(GREY)
+        assert str(end._feed.focus) == "0.25,0.25,0.5,0.5"
         with pytest.raises(av.ConfigError, match="after one of"):
             end.send(GREY[:64])
     with pytest.raises(av.ConfigError, match="closed"):

@@ -5,6 +5,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, ManualClock
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES
+from kontur_av.codecs.region import Focus, Region
 from kontur_av.media import BLOCK_NS, AudioFrame, CaptureStamp, Quality
 from kontur_av.rtp.sdp import parse_sdp, write_sdp
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
@@ -41,8 +42,10 @@ def pictures(codec="h264", **changes):
 
 
 @pytest.mark.parametrize("codec", ["h264", "h265"])
-def test_pictures_come_out_as_they_went_in(codec):
-    feed, source, clock = pictures(codec)
+def test_pictures_come_out_as_they_went_in(codec, monkeypatch):
+    feed, source, clock = pictures(codec, regions=True)
+    feed.focus, marked = Focus(0.0, 0.0, 0.5, 0.5), []
+    monkeypatch.setattr(Region, "steps_after", lambda *of: marked.append(of) or 1)
     try:
         stream = parse_sdp(write_sdp(describe(feed, "127.0.0.1", 5004)))
         decoding = PictureDecoding(stream, clock)
@@ -70,7 +73,7 @@ def test_pictures_come_out_as_they_went_in(codec):
             clock.advance_ns(PERIOD_NS)
     finally:
         feed.close()
-    assert source.closed == 1
+    assert source.closed == 1 and marked
     numbers = [round((stamp.capture_ns - 5 * NS_PER_S) / PERIOD_NS) for _, stamp, *_ in seen]
     assert numbers[:6] == list(range(6)) and 6 not in numbers and asked > 0
     for (level, stamp, *size), number in zip(seen, numbers, strict=True):

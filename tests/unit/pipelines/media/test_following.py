@@ -1,4 +1,4 @@
-"""The region follows the tip in the selected camera, and ends when the tip is not known."""
+"""The region is where a person says, else around the tip, where that is known."""
 
 from dataclasses import replace
 
@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.codecs.region import Focus, Region
 from kontur_av.errors import ConfigError
-from pipelines.media.following import tip_region
+from kontur_av.media import Tip
+from pipelines.media.following import focus_region
 from pipelines.session.setup.setup_file import BUILT_IN
 from telepresence.world.ground_views import camera_of
 
@@ -17,7 +19,7 @@ OWN = {"static": "v4l2:/dev/video0"}
 
 
 def tip_at(x_m=0.0, y_m=0.0, **changes):
-    tip = tip_region(replace(SETUP, **changes))
+    tip = focus_region(replace(SETUP, **changes))
     tip.handle_tip(x_m, y_m, 0)
     return tip
 
@@ -39,8 +41,7 @@ def test_a_camera_of_the_users_own_is_calibrated_and_without_a_fresh_tip_there_i
     for sources in (OWN, {}):
         tip = tip_at(sources=sources, region_points={"static": CORNERS})
         assert centre(tip.region("static", 0)) == (300, 240)
-    assert tip_region(BUILT_IN["spacejustin"]) is None
-    assert tip_region(SETUP).region("stereo", 0) is None
+    assert focus_region(SETUP).region("stereo", 0) is None
     tip = tip_at(sources=OWN)
     assert tip.region("stereo", 200 * NS_PER_MS) is not None
     assert tip.region("stereo", 201 * NS_PER_MS) is None
@@ -52,6 +53,15 @@ def test_a_camera_of_the_users_own_is_calibrated_and_without_a_fresh_tip_there_i
     assert tip.region("head", 0) is not None
 
 
+def test_a_person_comes_before_a_driver_and_a_driver_before_what_is_known_of_the_camera():
+    tip = tip_at(sources=OWN)
+    tip.handle_tips({"static": Tip(0.5, 0.01), "stereo": Tip(1.5, 0.5)}, 0)
+    assert tip.region("static", 600 * NS_PER_MS) == Region(272, 0, 96, 96)
+    assert tip.region("static", 601 * NS_PER_MS) is None and tip.region("stereo", 0) is None
+    tip.person = Focus.parse("0.25,0.5,0.375,0.375")
+    assert tip.region("static", 0) == Region(160, 240, 240, 180) and tip.newest is tip.person
+
+
 @pytest.mark.rule("6")
 @pytest.mark.parametrize(
     ("wrong", "fix"),
@@ -61,7 +71,6 @@ def test_a_camera_of_the_users_own_is_calibrated_and_without_a_fresh_tip_there_i
         ({"region_points": {"wrist": CORNERS}}, "region_points of wrist: .* no such camera"),
         ({"region_points": {"static": CORNERS[:3]}}, "of static: 3 points: give the board's four"),
         ({"region_points": {"static": CORNERS[::-1]}}, "of static: .* must go clockwise"),
-        ({"cameras": ("static",), "sources": OWN}, "name the board's corners in region_points"),
     ],
 )
 def test_a_region_that_cannot_work_is_refused(wrong, fix):

@@ -9,6 +9,7 @@ from rtp_packets import make_sender
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.codecs.h26x import encoder_of
+from kontur_av.codecs.region import Focus
 from kontur_av.media import VIDEO_CODECS, AccessUnit, CaptureStamp, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.media.following import Choice
@@ -28,17 +29,15 @@ def unit_of(stamp, *, key=True):
     return AccessUnit(b"\x00\x00\x00\x01" + (b"\x65" if key else b"\x41") + bytes(90), stamp, key)
 
 
+def sender_of(setup, stream, send, **options):
+    sends, identity = (send, lambda *_: None), RtpIdentity(1, 2, 3)
+    return VideoSendEnd(setup, stream, identity, Probe(), sends, wall_offset_ns=0, **options)
+
+
 def test_a_sender_that_follows_numbers_what_it_encodes_and_leaves_a_camera_before_it_confirms():
     sent, released = [], []
-    end = VideoSendEnd(
-        SETUP,
-        STREAM,
-        RtpIdentity(1, 2, 3),
-        Probe(),
-        (lambda packet, now_ns: sent.append(now_ns), lambda packet, now_ns: None),
-        wall_offset_ns=0,
-        follows=True,
-        release=released.append,
+    end = sender_of(
+        SETUP, STREAM, lambda *packet: sent.append(packet), follows=True, release=released.append
     )
     assert (end.camera, end.poll_encode(0), end.poll_confirmed(0)) == (None, None, None)
     assert end.handle_choice(Choice(1, "static")) and not end.handle_choice(Choice(1, "static"))
@@ -66,6 +65,7 @@ def test_a_sender_that_follows_numbers_what_it_encodes_and_leaves_a_camera_befor
         now_ns += MS
         end.handle_time(now_ns)
     assert (work.picture, work.stamp.sequence, work.region is None) == (9, 1, False)
+    assert not end.handle_choice(Choice(3, "head", Focus(0, 0, 0.5, 0.5))) and end.focus.person
     end.handle_picture(10, CaptureStamp(now_ns, 2, "head"), now_ns)
     end.drop()
     assert released == [7, 10]
@@ -75,14 +75,7 @@ def test_a_sender_that_follows_numbers_what_it_encodes_and_leaves_a_camera_befor
 def test_a_path_that_carries_less_lowers_the_cap_from_then_on_and_holds_video_at_the_end(codec):
     stream = replace(SETUP.downlink_video, codec=codec, cap_bps=240_000, least_cap_bps=60_000)
     setup, sent, now_ns, random = replace(SETUP, region="off"), [], 0, np.random.default_rng(1)
-    end = VideoSendEnd(
-        setup,
-        stream,
-        RtpIdentity(1, 2, 3),
-        Probe(),
-        (lambda packet, at_ns: sent.append((at_ns, len(packet) - 12)), lambda packet, at_ns: None),
-        wall_offset_ns=0,
-    )
+    end = sender_of(setup, stream, lambda packet, ns: sent.append((ns, len(packet) - 12)))
     encoder = encoder_of(codec)(
         width=160, height=120, fps=30, cap_bps=stream.cap_bps, coded_size=(160, 120)
     )

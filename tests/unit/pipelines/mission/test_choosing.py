@@ -7,7 +7,7 @@ from kontur_av.media import CaptureStamp
 from pipelines.media.following import AGAIN_NS, CameraFollower, Choice
 from pipelines.mission.choosing import CameraChoice
 from pipelines.mission.supervisor import session_dictionary
-from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, SetValues
+from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, RaiseEvent, SetValues
 from pipelines.session.probe import Probe
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.table import MAX_CAMERA_OCTETS
@@ -21,8 +21,8 @@ SUPERSEDED = "a later request came"
 class Selection:
     """A choice of cameras and the sender that follows it."""
 
-    def __init__(self, selected="", now_ns=0, follower=None):
-        self.choice = CameraChoice(CAMERAS, Probe(), now_ns=now_ns, selected=selected)
+    def __init__(self, kept="", now_ns=0, follower=None):
+        self.choice = CameraChoice(CAMERAS, Probe(), now_ns=now_ns, kept=kept)
         self.follower = follower or CameraFollower()
 
     def publish(self, now_ns):
@@ -32,8 +32,8 @@ class Selection:
     def confirm(self, now_ns):
         self.choice.handle_confirmed(self.follower.poll_confirmed(now_ns))
 
-    def ask(self, camera, token, now_ns):
-        asked = FunctionAsked("camera", token, "select", (camera,))
+    def ask(self, text, token, now_ns, function="select"):
+        asked = FunctionAsked("camera", token, function, (text,), "space")
         return self.choice.handle_asked(asked, now_ns)
 
     def answers(self):
@@ -109,6 +109,19 @@ def test_a_restarted_selector_waits_for_its_own_number(one):
     assert after.answers() == {5: ""}
 
 
+def test_a_focus_is_told_confirmed_and_kept_and_another_camera_takes_it_away(one):
+    assert one.publish(0) and one.ask("0.4,0.3,0.2,0.25", 1, 10, "focus")
+    assert not one.publish(10) and not one.answers()
+    one.confirm(11)
+    _, told, *said = iter(one.choice.next_event, None)
+    assert told == SetValues("camera", {"focus": "0.4,0.3,0.2,0.25"})
+    assert said == [RaiseEvent("camera", "focus_changed"), FunctionDone("camera", 1)]
+    assert str(Selection(one.choice.kept).choice.poll_choice(20).focus) == "0.4,0.3,0.2,0.25"
+    for wrong in ("0.4,0.3,0.2", "nan,0,1,1", "0,0,0,1", "here"):
+        assert not one.ask(wrong, 2, 30, "focus") and "like 0.4,0.3," in one.answers()[2]
+    assert one.ask("static", 3, 40) and one.choice.kept == "static off"
+
+
 def test_a_restarted_sender_confirms_the_first_choice_that_it_receives(one):
     one.ask("static", 1, 10)
     assert one.follower.poll_confirmed(10) is None
@@ -137,10 +150,10 @@ def test_choice_and_confirmation_are_told_again_after_a_while_and_at_once_if_new
 
 def test_a_session_knows_its_cameras_and_numbers_their_pictures_without_a_gap():
     dictionary = built_in_dictionary()
-    (anyone,) = dictionary.application("camera").parameters
+    anyone, _ = dictionary.application("camera").parameters
     assert anyone.size == MAX_CAMERA_OCTETS
     topology = Topology(setup=BUILT_IN["spacejustin"])
-    (camera,) = session_dictionary(built_in_dictionary(), topology).application("camera").parameters
+    camera, _ = session_dictionary(built_in_dictionary(), topology).application("camera").parameters
     assert camera.unpack(camera.pack("static")) == "static"
     with pytest.raises(ConfigError, match=r"^unknown camera roof: choose one of stereo, static"):
         camera.pack("roof")

@@ -5,6 +5,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS as MS
 from kontur_av.errors import ConfigError
+from kontur_av.media import Tip
 from telepresence.haptics.axes import AxisCapabilities, AxisReading
 from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
@@ -212,6 +213,8 @@ def test_power_that_cannot_be_taken_is_said():
 
 
 def test_numbers_of_numpy_drive_it(arm):
+    arm.tips = {"x": np.array([0.4, 0.5])}.copy
+    assert DrivenRobot(arm).tips() == {"x": Tip(0.4, 0.5)}
     numbers = np.array([0.01, 0.02, 0.0, 0.0])
     arm.reading = RobotReading(*numbers, contact=np.bool_(False))
     robot = DrivenRobot(arm)

@@ -81,7 +81,7 @@ def test_reports_fit_the_reserve_and_a_radio_is_a_profile_or_a_cable_with_a_dela
     up = reports + 3 * (arithmetic.TAG_OCTETS + arithmetic.RESUME_OCTETS + verification) / 10
     assert 0 <= arithmetic.RESERVE_BPS / 8 - up - pus_octets_per_s("ground") <= 5
     # The telecommand.
-    (select,) = built_in_dictionary().application("camera").parameters
+    select, _ = built_in_dictionary().application("camera").parameters
     command = MAX_PACKET_OCTETS - MAX_COMMAND_OCTETS + 1 + select.octets
     down = reports + (arithmetic.TAG_OCTETS + arithmetic.RESUME_OCTETS + command) / 10
     assert 0 <= arithmetic.RESERVE_DOWN_BPS / 8 - down - pus_octets_per_s("space") <= 5

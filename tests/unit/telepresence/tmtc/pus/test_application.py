@@ -110,7 +110,7 @@ def test_a_repetition_is_known_for_a_minute_and_among_64(application):
     application.handle_telecommand(command(count=65), 62 * S)
     application.handle_telecommand(first, 62 * S)
     assert application.duplicates == 3
-    assert events(application) == [FunctionRequest(2, "off", ())]
+    assert events(application) == [FunctionRequest(2, "off", (), 7)]
 
 
 def test_packets_have_counts_of_the_application_and_of_each_message():
