@@ -115,7 +115,7 @@ def metrics(shot: Clip, camera_hz: int, coded_hz: int, cap_bps: int) -> str:
     for unit in units:
         at_ns, stamp = shown_ns.get(unit.stamp.capture_ns), unit.stamp
         for decoded in decoder.decode(av.Packet(unit.data)):
-            luma = decoded.to_ndarray(format="gray")
+            luma = decoded.to_ndarray()[: decoded.height]
             if luma.shape != (HEIGHT, WIDTH):
                 luma = cv2.resize(luma, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
             if at_ns is None:

@@ -25,7 +25,7 @@ _LAMBDA = 118
 _STATS_OCTETS = 16
 
 
-class Part(NamedTuple):
+class FinerPart(NamedTuple):
     """A part of the coded picture, in pixels, that is coded finer by so many quantiser steps."""
 
     left: int
@@ -35,7 +35,7 @@ class Part(NamedTuple):
     steps: int
 
 
-class CodedPicture(NamedTuple):
+class EncodedPicture(NamedTuple):
     """An access unit as a library makes it.
 
     flagged: whether the library calls it a key picture; a wave may begin there instead.
@@ -52,8 +52,8 @@ class OpenEncoder(Protocol):
     """A library's encoder for pictures of one size."""
 
     def encode(
-        self, picture: I420, number: int, parts: Sequence[Part], *, keyframe: bool
-    ) -> CodedPicture:
+        self, picture: I420, number: int, parts: Sequence[FinerPart], *, keyframe: bool
+    ) -> EncodedPicture:
         """Return the access unit of a picture.
 
         number: of the pictures before it. parts: where they overlap, the first one counts.
@@ -81,7 +81,7 @@ class AvEncoder:
         codec.gop_size = gop
         tell_bt601(codec)
         codec.thread_count = 1
-        codec.flags |= Flags.psnr  # for `CodedPicture.squares`
+        codec.flags |= Flags.psnr  # for `EncodedPicture.squares`
         codec.options = options
         try:
             codec.open()
@@ -97,11 +97,11 @@ class AvEncoder:
         self._marker: _Marker | None = None
         #: x265 falls at a part if the pictures before had none, so each has one, of 0 steps.
         marked = "aq-mode=1" in options.get("x265-params", "")
-        self._always = [Part(0, 0, *size, 0)] if marked else []
+        self._always = [FinerPart(0, 0, *size, 0)] if marked else []
 
     def encode(
-        self, picture: I420, number: int, parts: Sequence[Part], *, keyframe: bool
-    ) -> CodedPicture:
+        self, picture: I420, number: int, parts: Sequence[FinerPart], *, keyframe: bool
+    ) -> EncodedPicture:
         frame = av.VideoFrame.from_numpy_buffer(picture, "yuv420p")
         ticks, per = self._ticks
         frame.pts = number * ticks // per
@@ -114,7 +114,7 @@ class AvEncoder:
         (packet,) = self._codec.encode(frame)
         stats = packet.get_sidedata("quality_stats")
         quality, squares = unpack_from("=I4xQ", bytes(stats).ljust(_STATS_OCTETS, b"\0"))
-        return CodedPicture(bytes(packet), packet.is_keyframe, quality / _LAMBDA, squares)
+        return EncodedPicture(bytes(packet), packet.is_keyframe, quality / _LAMBDA, squares)
 
     def follow(self, options: dict[str, str]) -> bool:
         return False
@@ -128,7 +128,7 @@ class _Marker:
     each picture.
     """
 
-    def __init__(self, size: tuple[int, int], parts: Sequence[Part]) -> None:
+    def __init__(self, size: tuple[int, int], parts: Sequence[FinerPart]) -> None:
         self.parts = parts
         graph = av.filter.Graph()
         graph.threads = 1

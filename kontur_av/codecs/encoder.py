@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from kontur_av.codecs.av_encoder import BLOCK, CodedPicture, Part
+from kontur_av.codecs.av_encoder import BLOCK, EncodedPicture, FinerPart
 from kontur_av.codecs.coding import (
     REFRESH_S,
     Coding,
@@ -199,11 +199,11 @@ class VideoEncoder:
         octets, keyframe = self._finished(coded)
         return AccessUnit(octets, frame.stamp, keyframe, self.codec)
 
-    def _finished(self, coded: CodedPicture) -> tuple[bytes, bool]:
+    def _finished(self, coded: EncodedPicture) -> tuple[bytes, bool]:
         """Return an access unit, and whether every decoder can start at it."""
         raise NotImplementedError
 
-    def _coding_loss(self, coded: CodedPicture) -> float:
+    def _coding_loss(self, coded: EncodedPicture) -> float:
         """Return the mean squared error of the luma by coding."""
         width, height = self.unit_size
         return coded.squares / (width * height)
@@ -267,16 +267,16 @@ class VideoEncoder:
         self._codec = self._settings.open()
         self._share_octets = float(self._settings.cap_bps / 8 / self._settings.rate)
 
-    def _finer_parts(self, region: Region | None, *, anew: bool) -> list[Part]:
+    def _finer_parts(self, region: Region | None, *, anew: bool) -> list[FinerPart]:
         """Return the parts to code finer; anew: the picture cannot use the one before."""
         width, height = self.unit_size
         # Where parts overlap, the first one counts.
-        parts: list[Part] = []
+        parts: list[FinerPart] = []
         # A picture that begins anew has no bits to spare.
         if region is not None and not anew:
             blocks = region.in_blocks((self.width, self.height), (width, height))
             if blocks is not None and (steps := region.steps_after(self._quantiser)):
-                parts.append(Part(*blocks, steps))
+                parts.append(FinerPart(*blocks, steps))
         # Where cuts come fast, pictures are replaced before they are sharp.
         if self._sharpening is None or self._cuts is None or self._cuts.restless:
             return parts
@@ -285,5 +285,5 @@ class VideoEncoder:
         elif (columns := self._sharpening.next_columns()) is not None:
             first, count = columns
             left, right = first * BLOCK, min((first + count) * BLOCK, width)
-            parts.append(Part(left, 0, right - left, height, COLUMN_STEPS))
+            parts.append(FinerPart(left, 0, right - left, height, COLUMN_STEPS))
         return parts

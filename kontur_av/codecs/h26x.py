@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from kontur_av.codecs.av_encoder import CodedPicture
+from kontur_av.codecs.av_encoder import EncodedPicture
 from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import EncoderSettings, H264Settings, H265Settings
@@ -20,7 +20,7 @@ class H264Encoder(VideoEncoder):
     _settings_of: ClassVar[type[EncoderSettings]] = H264Settings
     _sharpens: ClassVar[bool] = True
 
-    def _finished(self, coded: CodedPicture) -> tuple[bytes, bool]:
+    def _finished(self, coded: EncodedPicture) -> tuple[bytes, bool]:
         if not coded.flagged:
             return coded.data, False
         data = without_user_data(coded.data)
@@ -58,7 +58,7 @@ class H265Encoder(VideoEncoder):
     codec: ClassVar[VideoCodec] = "h265"
     _settings_of: ClassVar[type[EncoderSettings]] = H265Settings
 
-    def _finished(self, coded: CodedPicture) -> tuple[bytes, bool]:
+    def _finished(self, coded: EncodedPicture) -> tuple[bytes, bool]:
         nals = split_annex_b(coded.data)
         kinds = [H265.nal_type(nal) for nal in nals]
         keyframe = not H265.keys.isdisjoint(kinds)
@@ -68,7 +68,7 @@ class H265Encoder(VideoEncoder):
             nals.insert(slices, recovery_point(self.refresh_pictures - 1))
         return join_annex_b(nals), keyframe
 
-    def _coding_loss(self, coded: CodedPicture) -> float:
+    def _coding_loss(self, coded: EncodedPicture) -> float:
         # x265 does not report the error, so estimate it from the quantiser.
         return _LOSS_PER_STEP * 2 ** ((coded.quantiser - 4) / 6)
 

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kontur_av.codecs.av_encoder import BLOCK, CodedPicture, Part
+from kontur_av.codecs.av_encoder import BLOCK, EncodedPicture, FinerPart
 from kontur_av.codecs.carried import carried_by_pyav
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420
@@ -152,12 +152,12 @@ class X264Encoder:
         image.csp, image.planes = _CSP_I420, 3
         image.strides[:3] = width, width // 2, width // 2
         self._nals, self._count = POINTER(_Nal)(), c_int()
-        self._parts: Sequence[Part] = ()
+        self._parts: Sequence[FinerPart] = ()
         self._finer = np.zeros((-(-height // BLOCK), -(-width // BLOCK)), np.float32)
 
     def encode(
-        self, picture: I420, number: int, parts: Sequence[Part], *, keyframe: bool
-    ) -> CodedPicture:
+        self, picture: I420, number: int, parts: Sequence[FinerPart], *, keyframe: bool
+    ) -> EncodedPicture:
         given, coded = self._input, self._output
         luma, octets = self._size[0] * self._size[1], picture.ctypes.data
         given.image.plane[:3] = octets, octets + luma, octets + luma * 5 // 4
@@ -172,13 +172,13 @@ class X264Encoder:
             raise RuntimeError(f"libx264 made no access unit ({taken})")
         data = string_at(self._nals[0].payload, taken)
         squares = luma * 255.0**2 / 10 ** (coded.properties.psnr[0] / 10)
-        return CodedPicture(data, bool(coded.keyframe), coded.quantiser_plus_1 - 1.0, squares)
+        return EncodedPicture(data, bool(coded.keyframe), coded.quantiser_plus_1 - 1.0, squares)
 
     def follow(self, options: dict[str, str]) -> bool:
         self._set(_rates(options))
         return bool(self._x264.x264_encoder_reconfig(self._encoder, self._param) == 0)
 
-    def _mark(self, parts: Sequence[Part]) -> None:
+    def _mark(self, parts: Sequence[FinerPart]) -> None:
         self._parts = parts
         self._finer[:] = 0
         for left, top, width, height, steps in reversed(parts):

@@ -122,7 +122,8 @@ LIBRARIES = {
     "cbor2": "telepresence/tmtc/k2aci.py",
     "cryptography": "telepresence/link/protection/ telepresence/upkeep/manifest.py",
     "ctypes": (
-        "kontur_av/codecs/libopus.py kontur_av/topics/bus.py kontur_av/topics/iceoryx_node.py"
+        "kontur_av/codecs/libopus.py kontur_av/codecs/x264.py kontur_av/topics/bus.py "
+        "kontur_av/topics/iceoryx_node.py"
     ),
     "cv2": (
         "kontur_av/codecs/ kontur_av/detect.py kontur_av/sources/stereo.py "
@@ -136,7 +137,7 @@ LIBRARIES = {
     "lz4": "kontur_av/sources/recorded_format.py",
     "mcap": "kontur_av/sources/recording.py pipelines/recording/",
     "pathlib": (
-        "kontur_av/codecs/libopus.py kontur_av/parts.py kontur_av/sources/file.py "
+        "kontur_av/codecs/carried.py kontur_av/parts.py kontur_av/sources/file.py "
         "kontur_av/sources/recording.py pipelines/report/result.py "
         "pipelines/session/setup/setup_file.py telepresence/link/radio/profile_file.py "
         "telepresence/tasks/task_files.py telepresence/tmtc/pus/dictionary_file.py "

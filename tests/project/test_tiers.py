@@ -37,15 +37,6 @@ import time, pytest
 def test_slow(number):
     time.sleep(0.3)
 """
-FAILS_ONCE = """
-import os, pathlib
-
-def test_fails_once():
-    mark = pathlib.Path(os.environ["TRACE"] + ".mark")
-    first = not mark.exists()
-    mark.touch()
-    assert not first
-"""
 LACKS = """
 import pytest
 
@@ -100,13 +91,6 @@ def test_the_full_tier_runs_everything_and_a_missing_program_fails(run):
     assert code == 1
     assert re.match("1 failed, 9 passed, 1 skipped in", lines[-1])
     assert any("the full tier skips nothing: gnuplot" in line for line in lines)
-
-
-def test_a_test_that_failed_has_failed(run):
-    code, lines, events = run({"realtime": FAILS_ONCE, "unit": QUICK}, "--full")
-    assert code == 1
-    assert re.match("1 failed, 6 passed in", lines[-1])
-    assert len([what for what, test, _ in events if what == "begin" and "fails" in test]) == 1
 
 
 def test_a_lane_runs_one_test_at_a_time_and_others_leave_it_the_machine(run):

@@ -14,16 +14,8 @@ from pipelines.link.link_metrics import SocketMetrics
 from pipelines.media.media_metrics import CaptureMetrics, SelectorMetrics
 from pipelines.report.collector import Collector, ProcessMetrics
 from pipelines.report.journeys import Skew
+from pipelines.session import session_metrics as sm
 from pipelines.session.probe import Message
-from pipelines.session.session_metrics import (
-    LoopMetrics,
-    OutRow,
-    RxRow,
-    SampleReceivedRow,
-    SampleSentRow,
-    ShownRow,
-    TxRow,
-)
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.haptics.haptic_metrics import SamplesReceived
@@ -50,29 +42,31 @@ def ms(*values):
 def feel(collector, at_ms, latency_ms):
     """A force that was measured `latency_ms` before it was displayed to the hand."""
     (received,) = ms(at_ms)
-    publish(collector, "robot", received, SampleSentRow(at_ms, received - latency_ms * NS_PER_MS))
-    publish(collector, "joystick", received, SampleReceivedRow(at_ms, received))
+    publish(
+        collector, "robot", received, sm.SampleSentRow(at_ms, received - latency_ms * NS_PER_MS)
+    )
+    publish(collector, "joystick", received, sm.SampleReceivedRow(at_ms, received))
 
 
 def show(collector, stream, at_ms, latency_ms):
     (displayed,) = ms(at_ms)
-    row = ShownRow(at_ms, displayed - latency_ms * NS_PER_MS, displayed)
+    row = sm.ShownRow(at_ms, displayed - latency_ms * NS_PER_MS, displayed)
     publish(collector, "space_display", displayed, row, stream=stream)
 
 
 def test_a_picture_with_a_missing_stage_has_a_latency_and_a_restarted_sender_one_rate(collector):
     show(collector, "uplink_video", 20, 20)
-    publish(collector, "uplink_video_receive", START_NS, RxRow(2, START_NS))
+    publish(collector, "uplink_video_receive", START_NS, sm.RxRow(2, START_NS))
     metrics = collector.streams["uplink_video"]
     assert metrics.latency.count == 1
     assert all(stage.count == 0 for stage in metrics.stages.values())
     captured, displayed = ms(0, 20)
-    publish(collector, "uplink_video_send", displayed, TxRow(9, captured, captured, captured))
-    row = ShownRow(9, captured + 40_000, displayed)
+    publish(collector, "uplink_video_send", displayed, sm.TxRow(9, captured, captured, captured))
+    row = sm.ShownRow(9, captured + 40_000, displayed)
     publish(collector, "space_display", displayed, row, stream="uplink_video")
     assert collector.streams["uplink_video"].stamp_error.max == 40_000
     first, second, overtaken = ms(0, 500, 400)
-    rows = [OutRow(at, 1000, 90_000) for at in (first, second, overtaken)]
+    rows = [sm.OutRow(at, 1000, 90_000) for at in (first, second, overtaken)]
     publish(collector, "uplink_video_send", second, *rows[:2])
     collector.process("uplink_video_send").handle_end()
     publish(collector, "uplink_video_send", second, rows[2])
@@ -115,18 +109,22 @@ def test_percentiles_of_a_signed_skew_equal_those_of_its_values(values):
 def test_the_counts_of_a_restarted_process_are_added(collector):
     def count(slips, unknown_senders, frames):
         link = gateway(transmit=SenderMetrics(frames=frames))
-        metrics = LoopMetrics(slips=slips), SocketMetrics(unknown_senders=unknown_senders), link
+        metrics = (
+            sm.LoopMetrics(slips=slips),
+            SocketMetrics(unknown_senders=unknown_senders),
+            link,
+        )
         publish(collector, "ground_gateway", START_NS, metrics=metrics)
 
     count(5, {}, 4)
     count(7, {"radio": 2}, 10)
     metrics = collector.process("ground_gateway")
-    assert metrics.total(LoopMetrics).slips == 7
+    assert metrics.total(sm.LoopMetrics).slips == 7
     metrics.handle_end()
-    assert metrics.total(LoopMetrics).slips == 7
+    assert metrics.total(sm.LoopMetrics).slips == 7
     assert metrics.link is None
     count(2, {"radio": 1, "haptic": 4}, 3)
-    assert metrics.total(LoopMetrics).slips == 9
+    assert metrics.total(sm.LoopMetrics).slips == 9
     assert metrics.total(SocketMetrics).unknown_senders == {"radio": 3, "haptic": 4}
     assert [boot_id.transmit.frames for boot_id in metrics.links()] == [10, 3]
     assert metrics.find(SamplesReceived) is None
@@ -137,8 +135,8 @@ def test_a_picture_is_compared_with_the_force_of_its_own_instant(collector):
     # Half a second of force in one report, with a growing latency.
     instants = [(k, START_NS + k * NS_PER_MS) for k in range(500)]
     felt = [(k, sent_ns + (2 + k // 10) * NS_PER_MS) for k, sent_ns in instants]
-    publish(collector, "joystick", START_NS + NS_PER_S, *starmap(SampleReceivedRow, felt))
-    publish(collector, "robot", START_NS + NS_PER_S, *starmap(SampleSentRow, instants))
+    publish(collector, "joystick", START_NS + NS_PER_S, *starmap(sm.SampleReceivedRow, felt))
+    publish(collector, "robot", START_NS + NS_PER_S, *starmap(sm.SampleSentRow, instants))
     show(collector, "uplink_video", 132, 50)
     show(collector, "uplink_video", 462, 50)
     collector.handle_end()
@@ -159,8 +157,8 @@ def test_a_restarted_robot_has_no_latencies_of_its_previous_life(collector):
         # Every tenth sample of the first life is lost. The receiver reports first.
         felt = [(k, at + 3 * NS_PER_MS) for k, at in sent if begun_ms or k % 10]
         (now_ns,) = ms(told_ms + 100)
-        publish(collector, "joystick", now_ns, *starmap(SampleReceivedRow, felt))
-        publish(collector, "robot", now_ns, *starmap(SampleSentRow, sent))
+        publish(collector, "joystick", now_ns, *starmap(sm.SampleReceivedRow, felt))
+        publish(collector, "robot", now_ns, *starmap(sm.SampleSentRow, sent))
         show(collector, "uplink_video", told_ms - 10, 40)
     # The next message matches the waiting stamps.
     feel(collector, 5600, 3)

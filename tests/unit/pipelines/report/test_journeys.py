@@ -10,16 +10,7 @@ from told import message
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.report.collector import Collector
 from pipelines.report.journeys import STAGES, HapticMetrics, LipSyncShare, Pauses, StreamMetrics
-from pipelines.session.session_metrics import (
-    CodingRow,
-    DecodedRow,
-    OutRow,
-    RxRow,
-    SampleReceivedRow,
-    SampleSentRow,
-    ShownRow,
-    TxRow,
-)
+from pipelines.session import session_metrics as sm
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 
@@ -51,11 +42,11 @@ def test_the_stages_of_a_picture_are_joined_in_any_order_of_messages(order):
     for number in range(3):
         captured = 1000 + PERIOD_MS * number
         at = [captured + step for step in (0, 4, 5, 11, 12, 46, 49, 50)]
-        coding.append(CodingRow(number, *ns(at[1], at[2]), 240, 2))
-        sent.append(TxRow(number, *ns(at[0], at[3], at[4])))
-        received.append(RxRow(number, *ns(at[5])))
-        decoded.append(DecodedRow(number, *ns(at[6])))
-        shown.append(ShownRow(number, *ns(at[0], at[7])))
+        coding.append(sm.CodingRow(number, *ns(at[1], at[2]), 240, 2))
+        sent.append(sm.TxRow(number, *ns(at[0], at[3], at[4])))
+        received.append(sm.RxRow(number, *ns(at[5])))
+        decoded.append(sm.DecodedRow(number, *ns(at[6])))
+        shown.append(sm.ShownRow(number, *ns(at[0], at[7])))
     messages = [
         ("uplink_video_send", [*coding, *sent], ""),
         ("uplink_video_receive", [*decoded, *received], ""),
@@ -81,18 +72,18 @@ def test_the_stages_of_a_picture_are_joined_in_any_order_of_messages(order):
 
 def test_a_pause_of_the_camera_is_not_counted_as_a_period():
     collector = Collector(SESSION)
-    coding = CodingRow(2, *ns(5000, 5000), 9, 1)
-    publish(collector, "uplink_video_send", coding, TxRow(2, *ns(5000) * 3))
-    publish(collector, "uplink_video_receive", RxRow(2, *ns(5010)))
-    shown = ShownRow(1, *ns(10, 20)), ShownRow(2, *ns(5000, 5020))
+    coding = sm.CodingRow(2, *ns(5000, 5000), 9, 1)
+    publish(collector, "uplink_video_send", coding, sm.TxRow(2, *ns(5000) * 3))
+    publish(collector, "uplink_video_receive", sm.RxRow(2, *ns(5010)))
+    shown = sm.ShownRow(1, *ns(10, 20)), sm.ShownRow(2, *ns(5000, 5020))
     publish(collector, "space_display", *shown, stream="uplink_video")
     assert collector.streams["uplink_video"].way.pictures == 0
 
 
 def test_pauses_are_kept_with_begin_and_end_the_newest_thousand_of_them():
     collector = Collector(SESSION)
-    shown = [ShownRow(n, *ns(end - 40, end)) for n, end in enumerate((100, 1100, 2101, 2140))]
-    felt = [SampleReceivedRow(n, *ns(end)) for n, end in enumerate((1, 2, 202, 403, 404, 900))]
+    shown = [sm.ShownRow(n, *ns(end - 40, end)) for n, end in enumerate((100, 1100, 2101, 2140))]
+    felt = [sm.SampleReceivedRow(n, *ns(end)) for n, end in enumerate((1, 2, 202, 403, 404, 900))]
     for half in (slice(0, 3), slice(3, None)):
         publish(collector, "space_display", *shown[half], stream="uplink_video")
         publish(collector, "joystick", *felt[half])
@@ -122,10 +113,10 @@ def test_the_metrics_of_a_longer_session_take_no_more_memory():
     for second in range(120):
         begin_ns = second * NS_PER_S
         sent = [((1000 * second + k) % 65_536, begin_ns + k * NS_PER_MS) for k in range(1000)]
-        felt = [SampleReceivedRow(number, at + 3 * NS_PER_MS) for number, at in sent]
-        shown = [ShownRow(at // NS_PER_MS, at, at + 50 * NS_PER_MS) for _, at in sent[::20]]
+        felt = [sm.SampleReceivedRow(number, at + 3 * NS_PER_MS) for number, at in sent]
+        shown = [sm.ShownRow(at // NS_PER_MS, at, at + 50 * NS_PER_MS) for _, at in sent[::20]]
         for process, told, stream in (
-            ("robot", [SampleSentRow(*row) for row in sent], ""),
+            ("robot", [sm.SampleSentRow(*row) for row in sent], ""),
             ("joystick", felt, ""),
             ("space_display", shown, "uplink_video"),
         ):
@@ -178,9 +169,9 @@ def journey(stream, timestamp, **changed_ms):
     now_ns = max(instants.values())
     captured, encoded, sent, received, displayed = instants.values()
     for row in (
-        TxRow(timestamp, captured, encoded, sent),
-        RxRow(timestamp, received),
-        ShownRow(timestamp, captured, displayed),
+        sm.TxRow(timestamp, captured, encoded, sent),
+        sm.RxRow(timestamp, received),
+        sm.ShownRow(timestamp, captured, displayed),
     ):
         stream.handle_rows(type(row), rows(row), now_ns)
 
@@ -201,7 +192,7 @@ def test_a_negative_stage_is_counted_by_its_name_and_each_picture_is_joined_once
     journey(stream, 1)
     # The same timestamp again is another picture's, after 13 hours.
     assert stream.stages["capture_to_encoded"].count == 2
-    stream.handle_rows(RxRow, rows(RxRow(1, START_NS)), START_NS)
+    stream.handle_rows(sm.RxRow, rows(sm.RxRow(1, START_NS)), START_NS)
     assert stream.stages["capture_to_encoded"].count == 2
 
 
@@ -211,11 +202,11 @@ def test_a_negative_stage_is_counted_by_its_name_and_each_picture_is_joined_once
 def test_2000_pictures_wait_ten_seconds_for_their_other_end(between, wait_s, joined):
     stream = StreamMetrics()
     later_ns = START_NS + round(wait_s * NS_PER_S)
-    stream.handle_rows(TxRow, rows(TxRow(5, START_NS, START_NS, START_NS)), START_NS)
-    received = [RxRow(100 + n, later_ns) for n in range(between)]
-    stream.handle_rows(RxRow, rows(*received), later_ns)
-    stream.handle_rows(RxRow, rows(RxRow(5, later_ns)), later_ns)
-    stream.handle_shown(rows(ShownRow(5, START_NS, later_ns)), later_ns)
+    stream.handle_rows(sm.TxRow, rows(sm.TxRow(5, START_NS, START_NS, START_NS)), START_NS)
+    received = [sm.RxRow(100 + n, later_ns) for n in range(between)]
+    stream.handle_rows(sm.RxRow, rows(*received), later_ns)
+    stream.handle_rows(sm.RxRow, rows(sm.RxRow(5, later_ns)), later_ns)
+    stream.handle_shown(rows(sm.ShownRow(5, START_NS, later_ns)), later_ns)
     assert stream.stages["capture_to_encoded"].count == joined
 
 
@@ -232,8 +223,8 @@ def test_the_share_of_lip_sync_counts_time_and_the_largest_excess_over_the_cap_i
     assert share.counted_ns == 1800 * NS_PER_MS
     stream = StreamMetrics()
     first, second, third, later = at(0, 100, 200, 5000)
-    stream.handle_out(rows(OutRow(first, 1000, 16_000), OutRow(second, 1500, 16_000)))
+    stream.handle_out(rows(sm.OutRow(first, 1000, 16_000), sm.OutRow(second, 1500, 16_000)))
     assert stream.above_cap_bps == (20_000 - 16_000, 20_000)
     # The cap has grown, so the larger rate is less above it.
-    stream.handle_out(rows(OutRow(third, 1000, 32_000), OutRow(later, 100, 16_000)))
+    stream.handle_out(rows(sm.OutRow(third, 1000, 32_000), sm.OutRow(later, 100, 16_000)))
     assert stream.above_cap_bps == (4_000, 20_000)
