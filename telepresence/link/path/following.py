@@ -205,8 +205,8 @@ class PathFollower:
         #: Since when not all goes.
         self._slow_ns = 0
         self._raise_ns, self._lowered_ns = 0, -NS_PER_S
-        #: Whether steps up follow each other; the level and the queue before the newest, and when.
-        self._rising = False
+        #: The level and the queue before the newest step up, and when that was; below 0: none since
+        #: the last step down.
         self._tried = self._tried_ns = 0
         self._raised_ns = -_TRY_NS
 
@@ -263,8 +263,7 @@ class PathFollower:
             again_ns = (now_ns - self._slow_ns) // _AGAIN_SHARE
             self._go(self._tried, now_ns, min(max(again_ns, 2 * _TRY_NS), _MOST_AGAIN_NS))
         elif queue_ns >= (_LONG_NS if losing else _TOO_LONG_NS):
-            settled = now_ns - self._lowered_ns >= _SETTLES_NS
-            if settled and queue_ns > before_ns - _DRAINS_NS:
+            if queue_ns > before_ns - _DRAINS_NS and now_ns - self._lowered_ns >= _SETTLES_NS:
                 self._lower(now_ns)
             return
         if not (losing and self._level and self._levels is self._fixed):
@@ -315,17 +314,15 @@ class PathFollower:
 
     def _go(self, level: int, now_ns: int, try_ns: int) -> None:
         """Down to this level. More is tried after `try_ns`."""
-        self._rising = False
         self._raised_ns = -_TRY_NS
         self._lowered_ns, self._raise_ns = now_ns, now_ns + try_ns
         self._level, self.allowed = level, self._levels[level]
 
     def _raise(self, now_ns: int) -> None:
         """Let more go: at first a little, which may not pass."""
+        step, wait_ns = (1, _TRY_NS) if self._raised_ns < 0 else (_NEXT, _NEXT_NS)
         self._tried, self._tried_ns, self._raised_ns = self._level, self.queue_ns, now_ns
-        self._level = max(0, self._level - (_NEXT if self._rising else 1))
-        self._raise_ns = now_ns + (_NEXT_NS if self._rising else _TRY_NS)
-        self._rising = True
+        self._level, self._raise_ns = max(0, self._level - step), now_ns + wait_ns
         self.allowed = self._levels[self._level]
 
     def _use(self, compact: bool) -> None:
