@@ -45,7 +45,7 @@ _UNITS = {
 }
 _ANY = "*"
 #: Sentences with numbers in them, of which each would be a series of its own.
-_WORDS = {"path_why"}
+_SENTENCES = {"path_why"}
 _Path = tuple[str, ...]
 _COUNTS: _Path = ("processes", _ANY, "counts")
 
@@ -94,7 +94,7 @@ def _leaves(
                 yield from _leaves(below, row, name, {**labels, label: key})
             else:
                 yield from _leaves(below, row, f"{name}.{key}", labels)
-    elif isinstance(value, str) and path[-1] not in _WORDS:
+    elif isinstance(value, str) and path[-1] not in _SENTENCES:
         yield path, name, {**labels, path[-1]: value}, 1.0
     elif isinstance(value, int | float):
         yield path, name, labels, float(value)

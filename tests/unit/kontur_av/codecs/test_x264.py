@@ -7,7 +7,9 @@ from kontur_av.codecs import x264
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.region import Region
 
-needed = pytest.mark.skipif(x264.found() is None, reason="this machine has no libx264 of a known build")
+needed = pytest.mark.skipif(
+    x264.found() is None, reason="this machine has no libx264 of a known build"
+)
 
 
 @needed
