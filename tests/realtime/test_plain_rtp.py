@@ -28,7 +28,8 @@ def run(command, *options) -> int:
 @pytest.fixture
 def described(tmp_path):
     """The file of an SDP, and its port."""
-    port = free_port() & ~1
+    port = free_port(more=2)
+    port += port & 1
     (tmp_path / "x.sdp").write_text(
         f"v=0\nc=IN IP4 127.0.0.1\nm=audio {port} RTP/AVP 97\na=rtpmap:97 opus/48000/2\n"
     )
