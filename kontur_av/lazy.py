@@ -1,11 +1,9 @@
-"""Imports only what is used: names at their first use (PEP 562), modules without their package."""
+"""Names of a package that are imported at their first use (PEP 562)."""
 
 import ast
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from importlib import import_module
-from importlib.util import find_spec, module_from_spec
 from typing import Any
 
 
@@ -35,17 +33,3 @@ def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list
         return sorted({*vars(sys.modules[package]), *home_of})
 
     return find, names
-
-
-@contextmanager
-def alone(package: str) -> Iterator[None]:
-    """Within it, modules of `package` are imported without its `__init__`, which loads them all."""
-    spec = None if package in sys.modules else find_spec(package)
-    if spec is not None:
-        sys.modules[package] = module_from_spec(spec)
-    try:
-        yield
-    finally:
-        # Who imports the package later gets the whole of it.
-        if spec is not None:
-            del sys.modules[package]

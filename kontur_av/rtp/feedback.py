@@ -11,13 +11,12 @@ receiver that sends PLIs, and of this software, ask for nothing.
 A REMB is the receiver's estimate of the largest rate (draft-alvestrand-rmcat-remb-03).
 """
 
-import struct
 from collections import OrderedDict
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.rtp.reports import ReportTimer
-from kontur_av.rtp.wire import (
+from kontur_av.rtp.rtcp import (
     RTCP_PSFB_APP,
     RTCP_PSFB_PLI,
     SDES_TOOL,
@@ -202,7 +201,6 @@ def told_rate(packet: RtcpPsfbPacket) -> tuple[int, list[int]] | None:
     if packet.fmt != RTCP_PSFB_APP:
         return None
     try:
-        rate_bps, ssrcs = unpack_remb_fci(packet.fci)
-    except (ValueError, IndexError, struct.error):
+        return unpack_remb_fci(packet.fci)
+    except ProtocolError:
         return None
-    return rate_bps, ssrcs

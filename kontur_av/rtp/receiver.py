@@ -12,16 +12,15 @@ from kontur_av.errors import ProtocolError
 from kontur_av.modular import serial_difference
 from kontur_av.rtp.arrivals import REORDER_DEPTH_NS, ReorderDepth
 from kontur_av.rtp.reports import ReceptionLog
-from kontur_av.rtp.sender_clock import SenderClock
-from kontur_av.rtp.wire import (
+from kontur_av.rtp.rtcp import (
     RtcpByePacket,
     RtcpReceiverInfo,
     RtcpRrPacket,
     RtcpSrPacket,
-    RtpPacket,
     parse_rtcp,
-    parse_rtp,
 )
+from kontur_av.rtp.sender_clock import SenderClock
+from kontur_av.rtp.wire import RtpPacket, parse_rtp
 
 MAX_DROPOUT = 3000  # RFC 3550 appendix A.1
 MAX_MISORDER = 100

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.rtp.wire import RTCP_RTPFB_NACK, RtcpRtpfbPacket
+from kontur_av.rtp.rtcp import RTCP_RTPFB_NACK, RtcpRtpfbPacket
 
 #: The time between two requests for the same packet: longer than most round trips.
 ASK_AGAIN_NS = 60 * NS_PER_MS

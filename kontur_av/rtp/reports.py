@@ -11,7 +11,7 @@ from random import Random
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.modular import serial_difference
-from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpSrPacket
+from kontur_av.rtp.rtcp import RtcpReceiverInfo, RtcpSrPacket
 
 #: The least mean time between two reports under the profile RTP/AVP (RFC 3550 section 6.2).
 AVP_LEAST_NS = 5 * NS_PER_S

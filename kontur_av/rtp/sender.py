@@ -11,7 +11,13 @@ from kontur_av.rtp.header_extensions import capture_time_element, extended, head
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.reports import AVPF_LEAST_NS, ReportTimer
-from kontur_av.rtp.wire import RtcpByePacket, RtcpSenderInfo, RtcpSrPacket, cname_packet, pack_rtp
+from kontur_av.rtp.rtcp import (
+    RtcpByePacket,
+    RtcpSenderInfo,
+    RtcpSrPacket,
+    cname_packet,
+)
+from kontur_av.rtp.wire import pack_rtp
 
 #: The header of every packet of this sender: no CSRC, no extension (RFC 3550 section 5.1).
 RTP_HEADER_OCTETS = 12

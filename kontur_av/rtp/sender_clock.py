@@ -4,7 +4,8 @@ from kontur_av.clock import NS_PER_S, unix_ns_from_ntp
 from kontur_av.errors import ProtocolError
 from kontur_av.modular import serial_difference
 from kontur_av.rtp.header_extensions import elements_of, read_capture_time
-from kontur_av.rtp.wire import RtcpSrPacket, RtpPacket
+from kontur_av.rtp.rtcp import RtcpSrPacket
+from kontur_av.rtp.wire import RtpPacket
 
 #: Timestamps that step back by more, or otherwise than time by more, no longer belong to a report.
 _STEP_BACK_NS, _STEP_NS = NS_PER_S, 10 * NS_PER_S

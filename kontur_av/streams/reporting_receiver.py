@@ -4,7 +4,7 @@ from typing import Any
 
 from kontur_av.rtp.feedback import ReceptionReporter
 from kontur_av.rtp.receiver import RtpReceiver
-from kontur_av.rtp.wire import RtcpReceiverInfo
+from kontur_av.rtp.rtcp import RtcpReceiverInfo
 
 
 class ReportingReceiver:

@@ -10,7 +10,7 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.errors import ConfigError
-from kontur_av.rtp.wire import is_rtcp
+from kontur_av.rtp.rtcp import is_rtcp
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_receiver import VoiceReceiver

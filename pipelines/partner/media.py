@@ -9,8 +9,13 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.receiver import RtpReceived
+from kontur_av.rtp.rtcp import (
+    AnyRtcpPacket,
+    RtcpRrPacket,
+    RtcpSrPacket,
+    parse_rtcp,
+)
 from kontur_av.rtp.sender import RtpIdentity
-from kontur_av.rtp.wire import AnyRtcpPacket, RtcpRrPacket, RtcpSrPacket, parse_rtcp
 from pipelines.partner.description import Kind, MediaLine
 from pipelines.partner.tally import MediaMetrics
 from pipelines.partner.tracks import IncomingPicture, IncomingVoice, OutgoingTrack

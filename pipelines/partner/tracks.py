@@ -22,8 +22,7 @@ from kontur_av.rtp.header_extensions import (
 )
 from kontur_av.rtp.repair import TOO_OLD_NS, LossAsker, PacketHistory
 from kontur_av.rtp.reports import ReceptionReader
-from kontur_av.rtp.sender import RtpIdentity, RtpSender
-from kontur_av.rtp.wire import (
+from kontur_av.rtp.rtcp import (
     RTCP_PSFB_FIR,
     RTCP_PSFB_PLI,
     RTCP_RTPFB_NACK,
@@ -33,6 +32,7 @@ from kontur_av.rtp.wire import (
     RtcpRtpfbPacket,
     RtcpSrPacket,
 )
+from kontur_av.rtp.sender import RtpIdentity, RtpSender
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
 from pipelines.partner.description import MediaLine

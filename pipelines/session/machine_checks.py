@@ -121,9 +121,8 @@ def check_opencv() -> Finding:
 
 def check_rtp() -> Finding:
     import aiortc
-    import aiortc.rtp
 
-    return Finding("ok", f"aiortc {aiortc.__version__}, its rtp module")
+    return Finding("ok", f"aiortc {aiortc.__version__}")
 
 
 def check_shared_memory(

@@ -17,8 +17,9 @@ from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_formats import H264, H265, NAL_FORMATS
 from kontur_av.rtp.nal_payload import NalDepacketizer
 from kontur_av.rtp.payload_opus import opus_samples
+from kontur_av.rtp.rtcp import parse_rtcp
 from kontur_av.rtp.sdp import parse_sdp, write_sdp
-from kontur_av.rtp.wire import parse_rtcp, parse_rtp
+from kontur_av.rtp.wire import parse_rtp
 
 # Bodies have no zeros, so they contain no start code.
 BODY = st.integers(1, 6000).map(lambda n: bytes(1 + (n * i) % 255 for i in range(n)))

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 import av
 import numpy as np
 import pytest
-from aiortc.rtp import RtcpPsfbPacket, RtcpRrPacket
 from common import first_seed, repeats
 from mutated_octets import mutate
 from rtp_packets import make_sender
@@ -19,6 +18,7 @@ from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp, empty_picture
 from kontur_av.rtp.annex_b import join_annex_b
 from kontur_av.rtp.feedback import PictureLossListener
+from kontur_av.rtp.rtcp import RtcpPsfbPacket, RtcpRrPacket
 from kontur_av.sources.file import FileAudio, FileVideo
 from kontur_av.sources.y4m import Y4mReader
 from kontur_av.streams.video_receiver import VideoReceiver

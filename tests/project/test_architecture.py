@@ -110,7 +110,7 @@ PURE = words(
 LIBRARIES = {
     "OpenSSL": "telepresence/link/protection/agreement.py",
     "aiortc": (
-        "kontur_av/rtp/wire.py pipelines/partner/description.py pipelines/partner/ice_servers.py "
+        "pipelines/partner/description.py pipelines/partner/ice_servers.py "
         "pipelines/partner/tracks.py"
     ),
     "ast": "kontur_av/lazy.py",

@@ -9,7 +9,7 @@ from running_session import restarted, tcp_port
 from benchmarks.page.footage import coded
 from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.rtp.feedback import rate_message
-from kontur_av.rtp.wire import RTCP_PSFB_PLI, RtcpPsfbPacket
+from kontur_av.rtp.rtcp import RTCP_PSFB_PLI, RtcpPsfbPacket
 
 TOKEN = "word-of-the-partner"
 #: The streams of SpaceJustin with small pictures: three partners run in this process, too.

@@ -11,7 +11,7 @@ from kontur_av.rtp.feedback import (
     rate_message,
     told_rate,
 )
-from kontur_av.rtp.wire import (
+from kontur_av.rtp.rtcp import (
     RTCP_PSFB_PLI,
     RtcpPsfbPacket,
     RtcpReceiverInfo,

@@ -15,7 +15,7 @@ from rtp_packets import (
 
 from kontur_av.clock import NS_PER_MS as MS
 from kontur_av.clock import NS_PER_S
-from kontur_av.rtp.wire import parse_rtcp
+from kontur_av.rtp.rtcp import parse_rtcp
 
 HERE, ELSEWHERE = ("192.0.2.1", 5004), ("192.0.2.2", 5004)
 

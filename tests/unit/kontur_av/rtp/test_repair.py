@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kontur_av.rtp.repair import MOST_MISSING, LossAsker, PacketHistory
-from kontur_av.rtp.wire import parse_rtcp
+from kontur_av.rtp.rtcp import parse_rtcp
 
 MS, NS_PER_S = 1_000_000, 1_000_000_000
 

@@ -18,7 +18,11 @@ from kontur_av.rtp.reports import (
     ReportTimer,
     report_interval_ns,
 )
-from kontur_av.rtp.wire import RtcpReceiverInfo, RtcpSenderInfo, RtcpSrPacket
+from kontur_av.rtp.rtcp import (
+    RtcpReceiverInfo,
+    RtcpSenderInfo,
+    RtcpSrPacket,
+)
 
 MS = 1_000_000
 #: The divisor of RFC 3550 section 6.3.1, and its bounds of the random factor.

@@ -7,8 +7,9 @@ from rtp_packets import PromptSender, make_sender, picture, singles
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, unix_ns_from_ntp
 from kontur_av.media import AccessUnit, CaptureStamp
+from kontur_av.rtp.rtcp import parse_rtcp
 from kontur_av.rtp.sender import RtpIdentity, RtpSender
-from kontur_av.rtp.wire import parse_rtcp, parse_rtp
+from kontur_av.rtp.wire import parse_rtp
 
 BLOCK_NS = 20 * NS_PER_MS
 

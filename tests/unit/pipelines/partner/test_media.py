@@ -11,7 +11,7 @@ from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.feedback import rate_message
 from kontur_av.rtp.header_extensions import elements_of
-from kontur_av.rtp.wire import is_rtcp
+from kontur_av.rtp.rtcp import is_rtcp
 from pipelines.partner.description import wanted_line
 from pipelines.partner.media import PictureCame, RtcMedia, SoundCame
 
