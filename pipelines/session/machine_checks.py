@@ -119,7 +119,7 @@ def check_opencv() -> Finding:
     return Finding("ok", f"OpenCV {cv2.__version__}")
 
 
-def check_rtp() -> Finding:
+def check_webrtc() -> Finding:
     import aiortc
 
     return Finding("ok", f"aiortc {aiortc.__version__}")
@@ -285,7 +285,7 @@ CHECKS: tuple[Check, ...] = (
     ("H.264", check_h264),
     ("HEVC", check_h265),
     ("Opus", check_opus),
-    ("RTP", check_rtp),
+    ("WebRTC", check_webrtc),
     ("OpenCV", check_opencv),
     ("shared memory", check_shared_memory),
     ("open files", check_descriptors),
