@@ -25,6 +25,8 @@ PIPE_OCTETS = 1 << 20
 _LEAST_HZ = Fraction(1, 10)
 #: How often a FIFO that was removed is looked for.
 _LOOK_NS = 100 * NS_PER_MS
+#: Pictures that a writer may catch up on at once after a pause of either side.
+_CREDIT = 6
 
 
 def check_fifo(path: str) -> None:
@@ -71,18 +73,21 @@ class PipeVideo(StampingSource):
 
     def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
         give_up_ns = self._clock.now_ns() + timeout_ns
+        stamp = None
         while True:
             picture = self._newest()
             if picture is not None and self._write(picture, into):
-                return self._stamp(self._clock.now_ns())
-            if not self._fetch(give_up_ns):
-                return None
+                stamp = self._stamp(self._clock.now_ns())
+            # What waits behind it is newer: a reader that was late must not stay late.
+            if not (self._fetch(give_up_ns) if stamp is None else self._fetch_waiting()):
+                return stamp
 
     def _newest(self) -> Y4mPicture | None:
         newest = None
         while (event := self._reader.next_event()) is not None:
             if isinstance(event, Y4mPicture):
                 newest = event
+                self._pay()
             else:
                 self._fault(event)
         return newest
@@ -92,9 +97,22 @@ class PipeVideo(StampingSource):
             os.close(self._fd)
             self._fd = -1
 
+    def _pay(self) -> None:
+        """A picture has come: the next one is due."""
+        # 5 % faster than stated, because the writer's clock may be faster than ours.
+        period_ns = self._period_ns()
+        least_ns = self._clock.now_ns() - _CREDIT * period_ns
+        self._paid_until_ns = max(self._paid_until_ns, least_ns) + period_ns * 95 // 100
+
+    def _fetch_waiting(self) -> bool:
+        """Read octets that wait, unless the writer exceeds its rate; return whether any did."""
+        if self._fd < 0 or self._paid_until_ns > self._clock.now_ns():
+            return False
+        return self._readable(0) and self._take()
+
     def _fetch(self, give_up_ns: int) -> bool:
         """Wait for octets and read them; False if `give_up_ns` has passed."""
-        # A credit of two pictures, so that a live writer's jitter is never throttled.
+        # Two pictures ahead, so that a live writer's jitter is never throttled.
         free_ns = self._paid_until_ns - 2 * self._period_ns()
         now_ns = self._clock.now_ns()
         if free_ns > now_ns:
@@ -107,11 +125,18 @@ class PipeVideo(StampingSource):
             self._clock.sleep_until_ns(min(give_up_ns, now_ns + _LOOK_NS))
             self._fd = self._open()
             return True
-        poller = select.poll()
-        poller.register(self._fd, select.POLLIN)
-        if not poller.poll(-(-wait_ns // NS_PER_MS)):
+        if not self._readable(wait_ns):
             self._follow()
             return False
+        return self._take()
+
+    def _readable(self, wait_ns: int) -> bool:
+        poller = select.poll()
+        poller.register(self._fd, select.POLLIN)
+        return bool(poller.poll(-(-wait_ns // NS_PER_MS)))
+
+    def _take(self) -> bool:
+        """Read octets, or follow a writer that has gone. Always True."""
         try:
             octets = os.readv(self._fd, [self._reader.write_view()])
         except BlockingIOError:
@@ -134,9 +159,6 @@ class PipeVideo(StampingSource):
 
     def _write(self, picture: Y4mPicture, into: I420) -> bool:
         header = picture.header
-        # 5 % faster than stated, because the writer's clock may be faster than ours.
-        cost_ns = self._period_ns() * 95 // 100
-        self._paid_until_ns = max(self._paid_until_ns, self._clock.now_ns()) + cost_ns
         as_wanted = header.pixel_format == "yuv420p" and not header.full_range
         if as_wanted and (header.width, header.height) == self._size:
             into.reshape(-1)[:] = np.frombuffer(picture.octets, np.uint8)
