@@ -38,18 +38,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.closing import Closing
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, whole
 from kontur_av.media import I420, AudioFrame, CaptureStamp, Quality, VideoFrame, check_size
 from kontur_av.topics.file_node import FileNode
 from kontur_av.topics.notifier import NotificationListener, Notifier, WaitSet
 from kontur_av.topics.session_files import (
     SHARED_MEMORY,
     choose_session,
+    join_session,
     joins_path,
-    make_session_root,
+    leave_session,
     notifier_path,
     open_own_file,
     sessions,
+    shared_memory_prefix,
 )
 
 if TYPE_CHECKING:
@@ -58,6 +60,8 @@ if TYPE_CHECKING:
 MAX_READERS = 16
 #: A recorder that sleeps half a second loses nothing of a topic with 50 samples a second.
 MAX_DEPTH = 32
+#: The most octets of a sample: 1 GiB.
+MOST_OCTETS = 1 << 30
 _SOURCE_OCTETS = 16
 
 SampleView = NDArray[np.uint8]
@@ -324,14 +328,21 @@ class TopicBus(Closing):
     """One process's access to the topics of one session.
 
     session: lower-case letters, digits and hyphens. It names the shared memory, so that two
-    sessions on one machine stay separate.
+    sessions on one machine stay separate. The last bus of a session that no launcher has started
+    removes its topics at `close`.
 
     Do not fork a process that has a bus: the child would hold the locks that show whether the
     parent is alive. Fork first, then open the bus in the child.
     """
 
     def __init__(self, session: str) -> None:
-        self._node = _open_node(session)
+        shared_memory_prefix(session)
+        self._users = join_session(session)
+        try:
+            self._node = _open_node(session)
+        except BaseException:
+            leave_session(session, self._users)
+            raise
         self._session = session
         self._joined = False
         self._ports: list[Any] = []
@@ -362,6 +373,7 @@ class TopicBus(Closing):
         Raises ConfigError if shared memory has no room for it. What it usually needs is reserved
         here: a page that the kernel cannot give later would end the process by SIGBUS.
         """
+        max_octets = whole(max_octets, "max_octets", least=1, most=MOST_OCTETS)
         try:
             publisher, readers = self._node.publisher(topic, max_octets, present=self._joined)
         except KeyError:
@@ -376,8 +388,7 @@ class TopicBus(Closing):
 
     def reader(self, topic: str, *, depth: int = 1) -> Reader:
         """Return a reader that keeps at most `depth` unread samples; the oldest are dropped."""
-        if not 1 <= depth <= MAX_DEPTH:
-            raise ValueError(f"depth {depth}: from 1 to {MAX_DEPTH}")
+        depth = whole(depth, "depth", least=1, most=MAX_DEPTH)
         try:
             subscriber = self._node.subscriber(topic, depth, present=self._joined)
         except KeyError:
@@ -396,7 +407,9 @@ class TopicBus(Closing):
         return WaitSet([reader.listener for reader in readers], sockets)
 
     def close(self) -> None:
-        """Close the ports, then the node."""
+        """Close the ports, then the node. A second call does nothing."""
+        if self._users < 0:
+            return
         for reader in list(self._readers):
             reader.close()
         while self._notifiers:
@@ -404,6 +417,8 @@ class TopicBus(Closing):
         while self._ports:
             self._ports.pop().delete()
         self._node.close()
+        leave_session(self._session, self._users)
+        self._users = -1
 
     def _no_topic(self, topic: str) -> ConfigError:
         known = ", ".join(self.topics()) or "none"
@@ -420,7 +435,6 @@ def topics_are_files(session: str) -> bool:
 
 def _open_node(session: str) -> "FileNode | IceoryxNode":
     if topics_are_files(session):
-        make_session_root(session)
         return FileNode(session, _HEADER.size)
     from kontur_av.topics.iceoryx_node import IceoryxNode
 

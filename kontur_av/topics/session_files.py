@@ -1,6 +1,7 @@
 """The files and the shared memory of a session, and the checks of their ownership."""
 
 import errno
+import fcntl
 import hashlib
 import os
 import pwd
@@ -20,6 +21,9 @@ SHARED_MEMORY = Path("/dev/shm")
 _SOCKET_PATH_OCTETS = 107
 _SOCKET_NAME_OCTETS = 16
 _SESSION_OCTETS = 31
+
+#: In a session's directory: what its launcher locks, and what each user of its topics locks.
+LAUNCHER, _USERS = "launcher", "users"
 
 
 def session_root(session: str) -> Path:
@@ -49,6 +53,40 @@ def remove_session(session: str) -> int:
     shutil.rmtree(topics_root(session), ignore_errors=True)
     shutil.rmtree(session_root(session), ignore_errors=True)
     return len(leftovers)
+
+
+def join_session(session: str) -> int:
+    """Use a session's topics, until `leave_session`; return the file descriptor that shows it.
+
+    The lock (flock(2)) is shared; the kernel releases that of a killed process.
+    """
+    path = session_root(session) / _USERS
+    while True:
+        make_session_root(session)
+        with suppress(FileNotFoundError):
+            users = open_own_file(path)
+            fcntl.flock(users, fcntl.LOCK_SH)
+            # Another process may have removed the file before it was locked.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(users), path.stat()):
+                    return users
+            os.close(users)
+
+
+def leave_session(session: str, users: int) -> None:
+    """End the use. The last user removes the topics, unless a launcher will do so."""
+    root = session_root(session)
+    with suppress(BlockingIOError):
+        fcntl.flock(users, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not (root / LAUNCHER).exists():
+            for leftover in shared_memory(session):
+                leftover.unlink(missing_ok=True)
+            shutil.rmtree(topics_root(session), ignore_errors=True)
+            (root / _USERS).unlink(missing_ok=True)
+            # What others keep there stays.
+            with suppress(OSError):
+                root.rmdir()
+    os.close(users)
 
 
 def shared_memory(session: str) -> list[Path]:

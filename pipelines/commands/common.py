@@ -4,8 +4,8 @@ import sys
 from collections.abc import Sequence
 
 from kontur_av.errors import ConfigError
-from kontur_av.topics.session_files import choose_session, sessions
-from pipelines.session.sessions import started_here
+from kontur_av.topics.session_files import choose_session
+from pipelines.session.sessions import launched_sessions, started_here
 from telepresence.haptics.udp_line import unprotected
 
 
@@ -35,7 +35,7 @@ def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) 
     if name is None and len(own) == 1:
         return _said(own[0])
     chosen = choose_session(name, running, " with --session")
-    others = [session for session in sessions() if session != chosen]
+    others = [session for session in launched_sessions() if session != chosen]
     if moves and name is None and others:
         raise ConfigError(
             f"session {chosen} was started in another terminal, and {', '.join(others)} runs, too: "

@@ -6,10 +6,11 @@ import pwd
 import sys
 
 from kontur_av.clock import MonotonicClock
-from kontur_av.topics.session_files import choose_session, sessions
+from kontur_av.topics.session_files import choose_session
 from pipelines.commands.common import acting_on
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.option_rows import add_options
+from pipelines.session.sessions import launched_sessions
 from pipelines.session.setup.segments import Segment
 
 
@@ -26,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
     1 if a stop could not be kept, or a robot has not answered.
     """
-    running = sessions()
+    running = launched_sessions()
     if args.release:
         return _release(acting_on(args.session, running, moves=True))
     # A stop must not wait for a name.

@@ -13,10 +13,14 @@ from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from kontur_av.topics.session_files import make_session_root, remove_session, session_root
+from kontur_av.topics.session_files import (
+    LAUNCHER,
+    make_session_root,
+    remove_session,
+    session_root,
+    sessions,
+)
 from pipelines.session.kept_files import arm_stop
-
-_LOCK = "launcher"
 
 
 def new_session_name(setup: str, attempt: int = 0, *, end: str = "") -> str:
@@ -52,7 +56,7 @@ def clear_dead_sessions() -> list[str]:
     everywhere = session_root("any").parent
     for directory in everywhere.glob("*-*") if everywhere.is_dir() else ():
         try:
-            lock = os.open(directory / _LOCK, os.O_RDWR)
+            lock = os.open(directory / LAUNCHER, os.O_RDWR)
         except (FileNotFoundError, NotADirectoryError):
             # `kontur-av doctor` has a session without a launcher for a moment.
             owner = directory.name.rpartition("-")[2]
@@ -73,7 +77,7 @@ def clear_dead_sessions() -> list[str]:
 
 def _lock_new(session: str) -> int | None:
     """Return the lock's descriptor; None if another launcher has a session of that name."""
-    path = session_root(session) / _LOCK
+    path = session_root(session) / LAUNCHER
     while True:
         make_session_root(session)
         with suppress(FileNotFoundError):
@@ -92,9 +96,17 @@ def _lock_new(session: str) -> int | None:
             os.close(lock)
 
 
+def launched_sessions() -> list[str]:
+    """Return this user's sessions that a launcher has started, sorted by name.
+
+    Topics that a user's own programs share are none: they have no robot.
+    """
+    return [one for one in sessions() if (session_root(one) / LAUNCHER).exists()]
+
+
 def is_alive(session: str) -> bool:
     try:
-        lock = os.open(session_root(session) / _LOCK, os.O_RDWR)
+        lock = os.open(session_root(session) / LAUNCHER, os.O_RDWR)
     except OSError:
         return False
     try:
@@ -106,7 +118,7 @@ def is_alive(session: str) -> bool:
 def started_here(session: str) -> bool:
     """Whether the session was started in the terminal of this process (setsid(2))."""
     try:
-        return (session_root(session) / _LOCK).read_text() == str(os.getsid(0))
+        return (session_root(session) / LAUNCHER).read_text() == str(os.getsid(0))
     except OSError:
         return False
 

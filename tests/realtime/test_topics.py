@@ -3,8 +3,11 @@
 import multiprocessing
 import os
 import socket
+import subprocess
+import sys
 import tempfile
 import time
+from subprocess import PIPE
 
 import numpy as np
 import pytest
@@ -19,9 +22,11 @@ from kontur_av.topics.session_files import (
     choose_session,
     remove_session,
     session_root,
+    sessions,
     shared_memory,
 )
 from pipelines.cli import exit_code
+from pipelines.session.sessions import launched_sessions
 
 PICTURE_OCTETS = 64 * 48 * 3 // 2
 PICTURE = np.zeros((72, 64), np.uint8)
@@ -234,7 +239,9 @@ def test_a_long_name_in_a_deep_directory_leaves_room_for_a_socket(monkeypatch, t
         with socket.socket(socket.AF_UNIX) as short:
             short.bind(str(session_root(name) / "console"))
         user_root = session_root(name).parent
-    assert remove_session(name) > 0
+    # The last bus leaves what others keep there.
+    assert not shared_memory(name) and session_root(name).exists()
+    remove_session(name)
     assert not shared_memory(name)
     assert list(user_root.iterdir()) == []
     user_root.rmdir()
@@ -296,3 +303,30 @@ def test_a_directory_that_others_can_write_to_is_not_used(monkeypatch, tmp_path)
         with pytest.raises(ConfigError, match="no directory of yours"):
             TopicBus("lab")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_last_bus_of_a_users_own_topics_leaves_nothing_behind_and_is_no_session(session):
+    first = TopicBus(session)
+    reader, writer = first.reader("pictures"), first.writer("pictures", max_octets=1)
+    with TopicBus(session) as second:
+        second.reader("pictures")
+    writer.publish_octets(b"x", stamp(0))
+    assert reader.latest_octets() == b"x"
+    assert session in sessions() and session not in launched_sessions()
+    # A killed user holds nothing.
+    command = "import sys; from kontur_av import TopicBus; TopicBus(sys.argv[1]); print(flush=True)"
+    killed = [sys.executable, "-c", f"{command}; sys.stdin.read()", session]
+    with subprocess.Popen(killed, stdin=PIPE, stdout=PIPE) as user:
+        user.stdout.readline()
+        first.close()
+        assert shared_memory(session)
+        user.kill()
+    with TopicBus(session):
+        pass
+    assert not shared_memory(session) and not session_root(session).exists()
+
+
+@pytest.mark.parametrize("octets", [10**12, 0, "5", np.float64(0.5)])
+def test_a_size_that_no_sample_can_have_is_refused_in_one_line(session, octets):
+    with TopicBus(session) as bus, pytest.raises(ConfigError, match=r"^max_octets [^\n]*$"):
+        bus.writer("pictures", max_octets=octets)
