@@ -34,18 +34,19 @@ from pipelines.session.topology.table import Topology
 from pipelines.table import topology_of
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("kontur_av", "telepresence", "pipelines")
+MODULES = ("media", "codecs", "rtp", "sources", "streams", "topics", "clock")
+PACKAGES = ("kontur_av", *(f"kontur_av.{name}" for name in MODULES), "telepresence", "pipelines")
 HEAD = """# The Python interface
 
 <!-- Written by docs/generate.py from the docstrings: change those, not this page. -->
 
-Import these names from the package: `from kontur_av import ...`. Other modules are the project's
-own and may change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
-`samples/` has short scripts that use these names.
+Import these names from the modules that stand above them. All else is the project's own and may
+change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`. `samples/` has
+short scripts that use these names.
 
 Of a class with more than six methods this page has their names. What they do, and types, units,
 shapes and errors are in the docstrings:
-`python -c "import kontur_av; help(kontur_av.VideoSender)"`.
+`python -c "import kontur_av; help(kontur_av.PictureSender)"`.
 """
 #: Keys whose unit says that their value is a number.
 NUMBERS = re.compile(
@@ -59,11 +60,14 @@ STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.
 def python_page() -> str:
     """docs/python.md: every exported name with its signature and what it is for."""
     parts = [HEAD]
+    before: set[str] = set()
     for package in PACKAGES:
         module = griffe.load(
             package, search_paths=[ROOT], resolve_aliases=True, try_relative_path=False
         )
-        names = sorted(exported(module), key=lambda name: (name.lower(), name))
+        # What the package itself exports is not told again with its modules.
+        names = sorted({*exported(module)} - before, key=lambda name: (name.lower(), name))
+        before.update(names)
         parts.append(f"## `{package}`\n\n{module.docstring.value}\n")
         told: dict[str, str] = {}
         parts += [entry(module[name], told) for name in names]

@@ -1,10 +1,9 @@
 """Real-time media for thin links: from a camera or a microphone to RTP packets, and back.
 
-This package needs no robot and no radio.
-
-`PictureSender`, `SoundSender` and `StreamReceiver` are whole ends of a stream, as in
-samples/send_numpy.py. They drive cores (`VideoSender`, `VideoReceiver`, `VoiceSender`,
-`VoiceReceiver`), which open no socket and ask no clock.
+This package needs no robot and no radio. `import kontur_av as ka` has what most programs need:
+whole ends of a stream (`PictureSender`, `SoundSender`, `StreamReceiver`), sources, encoders,
+decoders and topics in shared memory. Their parts are in `kontur_av.codecs`, `.rtp`, `.sources`,
+`.streams` and `.topics`; `kontur_av.media` and `.clock` have what these share.
 """
 
 from typing import TYPE_CHECKING
@@ -12,53 +11,36 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from kontur_av.clock import ManualClock, MonotonicClock
-    from kontur_av.codecs.coding import Coding
-    from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
-    from kontur_av.codecs.encoder import VideoEncoder
-    from kontur_av.codecs.h26x import H264Decoder, H264Encoder, H265Encoder
-    from kontur_av.codecs.opus import OpusDecoder, OpusEncoder
-    from kontur_av.codecs.region import Region
+    from kontur_av.clock import MonotonicClock
+    from kontur_av.codecs import H264Decoder, H264Encoder, H265Encoder, OpusDecoder, OpusEncoder
     from kontur_av.errors import ConfigError, ProtocolError
-    from kontur_av.media import (
-        AccessUnit,
-        AudioFrame,
-        CaptureStamp,
-        Quality,
-        VideoFrame,
-        empty_picture,
-        planes,
-    )
-    from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
-    from kontur_av.rtp.sender import RtpIdentity
-    from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
-    from kontur_av.streams.encoding_thread import EncodingThread
-    from kontur_av.streams.ends import PictureSender, Received, SoundSender, StreamReceiver
-    from kontur_av.streams.lipsync import LipSync
-    from kontur_av.streams.staleness import Staleness
-    from kontur_av.streams.udp import UdpReceiver, UdpSender
-    from kontur_av.streams.video_receiver import VideoReceiver
-    from kontur_av.streams.video_sender import VideoSender
-    from kontur_av.streams.voice_receiver import VoicePlayer, VoiceReceiver
-    from kontur_av.streams.voice_sender import VoiceSender
-    from kontur_av.topics.bus import TopicBus
+    from kontur_av.media import AudioFrame, CaptureStamp, Quality, VideoFrame
+    from kontur_av.sources import open_audio, open_video
+    from kontur_av.streams import PictureSender, Received, SoundSender, StreamReceiver
+    from kontur_av.topics import TopicBus
 
 __version__ = "0.1.0"
 
+#: Names that this package had in 0.1.0, by the module that has them now.
+_MOVED = {
+    "kontur_av.clock": "ManualClock",
+    "kontur_av.codecs": "Coding DecodedPicture Region VideoDecoder VideoEncoder",
+    "kontur_av.media": "AccessUnit empty_picture planes",
+    "kontur_av.rtp": "RtpIdentity StreamDescription parse_sdp write_sdp",
+    "kontur_av.sources": "AudioSource VideoSource",
+    "kontur_av.streams": (
+        "EncodingThread LipSync Staleness UdpReceiver UdpSender VideoReceiver VideoSender "
+        "VoicePlayer VoiceReceiver VoiceSender"
+    ),
+}
+
 __all__ = [
-    "AccessUnit",
     "AudioFrame",
-    "AudioSource",
     "CaptureStamp",
-    "Coding",
     "ConfigError",
-    "DecodedPicture",
-    "EncodingThread",
     "H264Decoder",
     "H264Encoder",
     "H265Encoder",
-    "LipSync",
-    "ManualClock",
     "MonotonicClock",
     "OpusDecoder",
     "OpusEncoder",
@@ -66,30 +48,12 @@ __all__ = [
     "ProtocolError",
     "Quality",
     "Received",
-    "Region",
-    "RtpIdentity",
     "SoundSender",
-    "Staleness",
-    "StreamDescription",
     "StreamReceiver",
     "TopicBus",
-    "UdpReceiver",
-    "UdpSender",
-    "VideoDecoder",
-    "VideoEncoder",
     "VideoFrame",
-    "VideoReceiver",
-    "VideoSender",
-    "VideoSource",
-    "VoicePlayer",
-    "VoiceReceiver",
-    "VoiceSender",
-    "empty_picture",
     "open_audio",
     "open_video",
-    "parse_sdp",
-    "planes",
-    "write_sdp",
 ]
 
-__getattr__, __dir__ = lazy_names(__name__)
+__getattr__, __dir__ = lazy_names(__name__, moved=_MOVED)

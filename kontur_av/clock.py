@@ -7,6 +7,8 @@ processes share. So a latency is the difference of two stamps.
 import time
 from typing import Protocol
 
+__all__ = ["NS_PER_MS", "NS_PER_S", "Clock", "ManualClock", "MonotonicClock"]
+
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
 NS_PER_US = 1_000

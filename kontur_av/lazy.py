@@ -2,16 +2,21 @@
 
 import ast
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
 
-def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+def lazy_names(
+    package: str, *, moved: Mapping[str, str] | None = None
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
     """Return `__getattr__` and `__dir__` for the `__init__` of `package`.
 
     The names and their modules are what stands in it below `if TYPE_CHECKING:`.
+    moved: by their module, the former names of `package`. Their use gives a DeprecationWarning.
     """
+    former = {name: home for home, names in (moved or {}).items() for name in names.split()}
     loader: Any = sys.modules[package].__loader__
     home_of = {
         name.asname or name.name: (str(found.module), name.name)
@@ -23,6 +28,10 @@ def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list
     }
 
     def find(name: str) -> object:
+        if name in former:
+            words = f"{package}.{name} is {former[name]}.{name} now"
+            warnings.warn(words, DeprecationWarning, stacklevel=2)
+            return getattr(import_module(former[name]), name)
         if name not in home_of:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value: object = getattr(import_module(home_of[name][0]), home_of[name][1])

@@ -11,13 +11,25 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 
-#: A planar YUV 4:2:0 picture: shape (height * 3 // 2, width), dtype uint8, C-contiguous. Colours by
-#: ITU-R BT.601, luma from 16 to 235 (narrow range).
-#: Rows 0..height-1 are luma; then the U plane (height/2 * width/2 octets), then the V plane.
-I420 = NDArray[np.uint8]
+__all__ = [
+    "I420",
+    "AccessUnit",
+    "AudioFrame",
+    "CaptureStamp",
+    "Pcm",
+    "Quality",
+    "VideoFrame",
+    "empty_picture",
+    "planes",
+]
 
-#: Mono sound: shape (samples,), dtype int16.
+I420 = NDArray[np.uint8]
+"""A planar YUV 4:2:0 picture: shape (height * 3 // 2, width), dtype uint8, C-contiguous. Colours by
+ITU-R BT.601, luma from 16 to 235 (narrow range). Rows 0..height-1 are luma; then the U plane
+(height/2 * width/2 octets), then the V plane."""
+
 Pcm = NDArray[np.int16]
+"""Mono sound: shape (samples,), dtype int16."""
 
 #: How pictures are coded: H.264, or HEVC (ITU-T H.265).
 VideoCodec = Literal["h264", "h265"]

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
     from pipelines.session.topology.table import Topology
     from pipelines.table import topology_of
+    from pipelines.virtual.simulate import simulate
 
 __all__ = [
     "GivenInput",
@@ -21,6 +22,7 @@ __all__ = [
     "VoiceStream",
     "load_setup",
     "setup_from_table",
+    "simulate",
     "topology_of",
 ]
 

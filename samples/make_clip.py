@@ -8,9 +8,9 @@ from pathlib import Path
 
 import av
 
-from kontur_av import ManualClock, empty_picture
-from kontur_av.clock import NS_PER_S
-from telepresence.world import video_scenes
+from kontur_av.clock import NS_PER_S, ManualClock
+from kontur_av.media import empty_picture
+from telepresence import video_scenes
 
 FPS, SECONDS, WIDTH, HEIGHT = 30, 2, 640, 480
 

@@ -11,9 +11,16 @@ from collections import deque
 import numpy as np
 
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
-from telepresence.haptics.board import WALL_X_M
-from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, Hand, Waypoint
+from telepresence import (
+    FIRM_GRIP,
+    SOFT_GRIP,
+    WALL_X_M,
+    Hand,
+    HeldJoystick,
+    JoystickSide,
+    RobotSide,
+    Waypoint,
+)
 
 #: Presses on the wall for 2.5 s of every 4 s.
 PRESS = (

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from kontur_av.media import I420, empty_picture
-from kontur_av.sources.stereo import SeamFinder, merge
-from telepresence.world import WorldState, render
+from kontur_av.sources import SeamFinder, merge
+from telepresence import WorldState, render
 
 
 def load(path: str) -> I420:

@@ -10,10 +10,9 @@ from dataclasses import asdict
 
 import numpy as np
 
+from kontur_av import ConfigError
 from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ConfigError
-from telepresence.link.profile import DOWNLINK, UPLINK
-from telepresence.link.radio import load_radio
+from telepresence import DOWNLINK, UPLINK, load_radio
 
 
 def watch(profile, link, seed, seconds):

@@ -20,9 +20,8 @@ from random import Random
 
 import av
 
-from pipelines.session.setup.setup_file import load_setup
-from pipelines.virtual.simulate import simulate
-from telepresence.link.radio import load_radio
+from pipelines import load_setup, simulate
+from telepresence import load_radio
 
 CLIP = Path(__file__).with_name("clip.mp4")
 LOSSES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)

@@ -11,13 +11,12 @@ readers, kill the publisher and start it again: the readers then see pictures ag
 import multiprocessing
 import os
 import sys
+from contextlib import suppress
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
-from kontur_av.media import CaptureStamp
-from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.session_files import remove_session
+from kontur_av import CaptureStamp, MonotonicClock, TopicBus
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 
 WIDTH, HEIGHT, FPS = 640, 480, 30
 OCTETS = WIDTH * HEIGHT * 3 // 2
@@ -75,12 +74,8 @@ def main() -> None:
         reader.start()
         publish(session, 2.0)
         reader.join()
-        remove_session(session)
 
 
 if __name__ == "__main__":
-    try:
+    with suppress(KeyboardInterrupt):
         main()
-    except KeyboardInterrupt:
-        if sys.argv[1:] == ["publish"]:
-            remove_session("my-topics")

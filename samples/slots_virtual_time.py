@@ -9,10 +9,16 @@ import sys
 from collections import defaultdict
 
 from kontur_av.clock import NS_PER_MS, ManualClock
-from telepresence.link.flows import Level, packet_flow, video_flow, voice_flow
-from telepresence.link.profile import UPLINK
-from telepresence.link.receiver import HapticReceived, LinkReceiver
-from telepresence.link.sender import LinkSender
+from telepresence import (
+    UPLINK,
+    HapticReceived,
+    Level,
+    LinkReceiver,
+    LinkSender,
+    packet_flow,
+    video_flow,
+    voice_flow,
+)
 
 # A flow is a UDP port at each end of the link. Both ends have the same table.
 FLOWS = [

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kontur_av.errors import ConfigError
+from kontur_av import ConfigError
 from telepresence import RobotCapabilities, RobotReading
 
 PLANE = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from telepresence.haptics.bilateral import Handle, JoystickSide, RobotSide
+    from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
+    from telepresence.haptics.board import WALL_X_M
     from telepresence.haptics.device.device import (
         JoystickCapabilities,
         JoystickDevice,
@@ -20,13 +21,21 @@ if TYPE_CHECKING:
     # `JoystickFacts` and `RobotFacts` are former names, for drivers written for 0.1.0.
     from telepresence.haptics.device.device import JoystickCapabilities as JoystickFacts
     from telepresence.haptics.device.states import JoystickState
+    from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, Hand, Waypoint
     from telepresence.haptics.robot import JointReading, RobotCapabilities
     from telepresence.haptics.robot import RobotCapabilities as RobotFacts
     from telepresence.haptics.robot_device import RobotDevice, RobotReading
     from telepresence.haptics.sample import Command, Feedback
-    from telepresence.link.flows import Flow, Level, packet_flow, video_flow, voice_flow
+    from telepresence.link.flows import (
+        Flow,
+        HapticReceived,
+        Level,
+        packet_flow,
+        video_flow,
+        voice_flow,
+    )
     from telepresence.link.gateway import Gateway
-    from telepresence.link.profile import LinkProfile
+    from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
     from telepresence.link.radio import RadioPath, RadioProfile, load_radio
     from telepresence.link.receiver import LinkReceiver
     from telepresence.link.sender import LinkSender
@@ -40,15 +49,24 @@ if TYPE_CHECKING:
         TelemetryReading,
         TelemetrySource,
     )
+    from telepresence.world import WorldState, render, video_scenes
 
 __all__ = [
+    "DOWNLINK",
+    "FIRM_GRIP",
+    "SOFT_GRIP",
+    "UPLINK",
+    "WALL_X_M",
     "Command",
     "EventReport",
     "Feedback",
     "Flow",
     "FunctionCall",
     "Gateway",
+    "Hand",
     "Handle",
+    "HapticReceived",
+    "HeldJoystick",
     "JointReading",
     "JoystickCapabilities",
     "JoystickDevice",
@@ -74,9 +92,13 @@ __all__ = [
     "TelemetryParameter",
     "TelemetryReading",
     "TelemetrySource",
+    "Waypoint",
+    "WorldState",
     "load_radio",
     "packet_flow",
+    "render",
     "video_flow",
+    "video_scenes",
     "voice_flow",
 ]
 

@@ -7,8 +7,7 @@ from typing import cast
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from kontur_av.media import I420, CaptureStamp, VideoFrame
-from kontur_av.sources import BLOCK_NS
+from kontur_av.media import BLOCK_NS, I420, CaptureStamp, VideoFrame
 from kontur_av.sources.instants import Pace
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.sources.stereo import StereoPairer

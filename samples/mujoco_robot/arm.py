@@ -7,8 +7,8 @@ import time
 from contextlib import suppress
 from importlib.util import find_spec
 
+from kontur_av import ConfigError
 from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ConfigError
 from mujoco_robot.messages import (
     BRAKE,
     FOLLOW,

@@ -6,7 +6,7 @@ import struct
 import tempfile
 from pathlib import Path
 
-from kontur_av.errors import ConfigError
+from kontur_av import ConfigError
 
 #: Of a driver: what it does, the time since its last order (ms), and the force at the tip (N, N).
 ORDER = struct.Struct("=BBdd")

@@ -154,7 +154,7 @@ LIBRARIES = {
     "sys": ("kontur_av/codecs/libopus.py kontur_av/lazy.py kontur_av/parts.py"),
     "tarfile": "telepresence/upkeep/inbox.py",
     "threading": "kontur_av/codecs/colours.py",
-    "warnings": "kontur_av/codecs/libopus.py",
+    "warnings": "kontur_av/codecs/libopus.py kontur_av/lazy.py",
     "xml": "telepresence/tasks/reader.py telepresence/tmtc/pus/xtce",
     "zstandard": "kontur_av/sources/recorded_format.py pipelines/recording/",
 }

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+import kontur_av
+
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("kontur_av", "telepresence", "pipelines")
 
@@ -31,6 +33,7 @@ def lines_of_code(folder: str) -> int:
 COUNTS = (
     ("`dict[str, Any]` in the packages", untyped_tables, 7),
     ("modules in the root of pipelines", modules_in_the_root, 6),
+    ("names that `import kontur_av` gives", lambda: len(kontur_av.__all__), 20),
     ("lines of benchmarks", lambda: lines_of_code("benchmarks"), 7000),
     ("lines of tests", lambda: lines_of_code("tests"), 67_250),
     ("lines of pipelines/bench", lambda: lines_of_code("pipelines/bench"), 3300),

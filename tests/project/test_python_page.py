@@ -1,5 +1,6 @@
 """The generated parts of documents are up to date, and the links of docs/python.md work."""
 
+import ast
 import importlib
 import importlib.util
 import re
@@ -7,6 +8,8 @@ from functools import cache
 
 import pytest
 from positions import ROOT
+
+import kontur_av
 
 pytest.importorskip("griffe", reason="pip install -e '.[dev]'")
 
@@ -34,8 +37,25 @@ def test_the_pages_and_tables_of_the_documents_are_up_to_date():
     assert set(blocks) <= found
 
 
-@pytest.mark.parametrize("package", ["kontur_av", "telepresence", "pipelines"])
-def test_every_exported_name_is_there_and_explained(package):
-    module = importlib.import_module(package)
-    for name in getattr(module, "__all__", ()):
-        assert getattr(module, name).__doc__, name
+def test_every_exported_name_is_there_and_explained():
+    for package in generate().PACKAGES:
+        module = importlib.import_module(package)
+        for name in module.__all__:
+            assert getattr(module, name).__doc__, name
+
+
+def test_former_names_warn_with_their_new_place():
+    for home, names in kontur_av._MOVED.items():
+        for name in names.split():
+            with pytest.warns(DeprecationWarning, match=f"kontur_av.{name} is {home}.{name} now"):
+                assert getattr(kontur_av, name) is getattr(importlib.import_module(home), name)
+
+
+@pytest.mark.parametrize("sample", sorted((ROOT / "samples").rglob("*.py")), ids=lambda p: p.stem)
+def test_samples_import_documented_names(sample):
+    ours = ("kontur_av", "telepresence", "pipelines")
+    for node in ast.walk(ast.parse(sample.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] in ours:
+            assert node.module in generate().PACKAGES
+            public = importlib.import_module(node.module).__all__
+            assert {one.name for one in node.names} <= set(public), node.module
