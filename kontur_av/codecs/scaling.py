@@ -1,4 +1,4 @@
-"""Make pictures smaller, before they are coded. OpenCV is loaded at the first one: it takes 0.1 s."""
+"""Make pictures smaller, before they are coded. OpenCV is loaded at the first one, in 0.1 s."""
 
 from typing import Any
 
