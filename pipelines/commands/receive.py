@@ -11,9 +11,10 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, refused
 from kontur_av.media import parse_size
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
+from kontur_av.streams.loudspeaker import Loudspeaker
 from kontur_av.streams.udp import UdpReceiver
 from pipelines.commands.common import check_options
-from pipelines.media.rtp_reports import SavedReport
+from pipelines.media.rtp_reports import PlayedReport, SavedReport, latency_ms
 from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--save FILE.mkv  write the stream as it comes",
         "--to URL  hand the stream on as it comes: MPEG-TS to udp://HOST:PORT, or rtsp://HOST/NAME",
         "--raw",
+        "--play WHERE <?=default>  the sound: default, alsa:DEVICE or pulse:SINK",
         "--size WxH  of the pictures of --raw (default: that of the first one)",
         "--report",
         "--seconds S <float>  also through pauses (default: until Ctrl-C, or until a stream that "
@@ -63,15 +65,20 @@ def run(args: argparse.Namespace) -> int:
         if raw is not None:
             stack.callback(raw.close)
         clock = MonotonicClock()
+        speaker = _open_loudspeaker(args.play, stream, clock)
+        if speaker is not None:
+            stack.callback(speaker.close)
         output: PictureOutput | SoundOutput
         if stream.kind == "video":
             output = PictureOutput(stream, clock, writers, raw)
         else:
-            output = SoundOutput(stream, clock, writers)
+            output = SoundOutput(stream, clock, writers, speaker)
         report = ReceiveShell(stream, output, udp, clock, raw).run(args.seconds)
     # What a full disk has taken is not known: FFmpeg writes some seconds at once.
     short = writer is not None and writer.written < _SAVED_AT_LEAST * output.decoded
     failed = report.failed + [one.fault for one in (writer, live, raw) if one and one.fault]
+    if speaker is not None and speaker.faults:
+        failed.append(f"--play {args.play!r} has failed: {speaker.last_fault}")
     if writer is not None and short and not writer.fault:
         failed.append(
             f"--save {args.save!r}: {writer.written} of {output.decoded} decoded are in the file"
@@ -83,8 +90,31 @@ def run(args: argparse.Namespace) -> int:
         saved=None if writer is None else SavedReport(file=args.save, packets=writer.written),
         forwarded=None if live is None else live.report(),
         raw=None if raw is None else raw.report(),
+        played=None if speaker is None else _played(args.play, speaker, output),
     )
     return end_with(args.report, report, failed)
+
+
+def _open_loudspeaker(
+    spec: str | None, stream: StreamDescription, clock: MonotonicClock
+) -> Loudspeaker | None:
+    if spec is None:
+        return None
+    if stream.kind == "video":
+        raise ConfigError("--play plays sound, but the SDP describes pictures: leave it out")
+    return Loudspeaker(spec, clock)
+
+
+def _played(spec: str, speaker: Loudspeaker, output: PictureOutput | SoundOutput) -> PlayedReport:
+    assert isinstance(output, SoundOutput)
+    return PlayedReport(
+        to=spec,
+        blocks=speaker.played,
+        dropped=speaker.dropped,
+        faults=speaker.faults,
+        last_fault=speaker.last_fault,
+        delay_ms=latency_ms(output.player_ns) if output.player_ns.count else None,
+    )
 
 
 def _open_raw(args: argparse.Namespace, stream: StreamDescription) -> RawPictures | None:

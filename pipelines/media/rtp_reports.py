@@ -109,6 +109,20 @@ class RawReport(Report, frozen=True, kw_only=True):
     readers_gone: int
 
 
+class PlayedReport(Report, frozen=True, kw_only=True):
+    """The blocks of sound that `--play` played or dropped, and how late the player has them heard.
+
+    faults: how often the player ended; `last_fault` is empty if it never did.
+    """
+
+    to: str
+    blocks: int
+    dropped: int
+    faults: int
+    last_fault: str
+    delay_ms: Latency | None
+
+
 class OutputReport(Report, frozen=True, kw_only=True):
     """What came out of a receiver of pictures, or of one of sound. size: none before a picture."""
 
@@ -134,3 +148,4 @@ class ReceiveReport(Report, frozen=True, kw_only=True):
     saved: SavedReport | None = None
     forwarded: ForwardedReport | None = None
     raw: RawReport | None = None
+    played: PlayedReport | None = None

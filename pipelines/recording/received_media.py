@@ -19,6 +19,7 @@ from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.rtp.sdp import StreamDescription
 from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
+from kontur_av.streams.loudspeaker import Loudspeaker
 from kontur_av.streams.udp import UdpReceiver
 from pipelines.media.rtp_reports import (
     OutputReport,
@@ -204,6 +205,7 @@ class SoundOutput:
         stream: StreamDescription,
         clock: MonotonicClock,
         writers: Sequence[MatroskaWriter | LiveWriter],
+        loudspeaker: Loudspeaker | None = None,
     ) -> None:
         self._decoding = SoundDecoding(stream, clock)
         self.receiver = self._decoding.receiver
@@ -211,7 +213,8 @@ class SoundOutput:
         self.received_ns = Histogram()
         self.decoded = 0
         self._clock, self._line = clock, SoundLine()
-        self._writers = writers
+        self._writers, self._loudspeaker = writers, loudspeaker
+        self.player_ns = Histogram()
 
     def drain(self) -> None:
         receiver = self.receiver
@@ -221,8 +224,12 @@ class SoundOutput:
             if capture_ns is not None:
                 self.received_ns.add(packet.received_ns - capture_ns)
         self._write(arrivals, self._clock.now_ns())
-        for block, _, decoded, stamp in self._decoding.blocks():
+        for block, sound, decoded, stamp in self._decoding.blocks():
             self.decoded += decoded
+            if self._loudspeaker is not None:
+                delay_ns = self._loudspeaker.play(sound)
+                if delay_ns is not None:
+                    self.player_ns.add(delay_ns)
             if decoded and stamp is not None:
                 self.decoded_ns.add(block.play_ns - stamp.capture_ns)
 

@@ -46,7 +46,7 @@ SHELL_FOLDERS = ("pipelines/commands/",)
 SHELLS = {
     "kontur_av": "clock",
     "kontur_av/sources": "camera file looped microphone pipe recording scene source spec user",
-    "kontur_av/streams": "decoding encoding_thread ends feeds udp",
+    "kontur_av/streams": "decoding encoding_thread ends feeds loudspeaker udp",
     "kontur_av/topics": "bus file_node iceoryx_node notifier session_files",
     "pipelines": "cli",
     "pipelines/bench": "latency link session sync",

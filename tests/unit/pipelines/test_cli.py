@@ -211,6 +211,7 @@ REFUSALS = {
         "--sdp none.sdp": "cannot be read",
         "--sdp notes.txt": "no SDP",
         "--sdp good.sdp --seconds 1 --save /nowhere/x.mkv": "--save",
+        "--sdp good.sdp --play": "--play plays sound, but the SDP describes pictures",
     },
     "joystick": {
         "test --device usb": "write sim, sim:FAULT, page, ros2, evdev",
