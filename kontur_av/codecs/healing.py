@@ -2,8 +2,8 @@
 
 from kontur_av.media import VIDEO_CLOCK_HZ, VideoCodec
 from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.nal_formats import NAL_FORMATS
-from kontur_av.rtp.nal_payload import ReceivedUnit
 
 _SEI_RECOVERY_POINT = 6  # ITU-T H.264 table D-1
 

@@ -7,7 +7,7 @@ from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.media import CaptureStamp, Pcm
 from kontur_av.rtp.arrivals import MOST_REORDER_NS
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.reports import report_interval_ns
 from kontur_av.rtp.sdp import StreamDescription

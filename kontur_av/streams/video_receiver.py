@@ -9,8 +9,8 @@ from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Qu
 from kontur_av.metrics import Flat, Newest
 from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
+from kontur_av.rtp.nal_depacketizer import NalDepacketizer, ReceivedUnit
 from kontur_av.rtp.nal_formats import NAL_FORMATS
-from kontur_av.rtp.nal_payload import NalDepacketizer, ReceivedUnit
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.reports import AVPF_LEAST_NS
 from kontur_av.streams.reporting_receiver import ReportingReceiver

@@ -12,7 +12,7 @@ from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, parse_size
 from kontur_av.meters import Histogram
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.commands.rtc_options import ice_servers_of, token_of

@@ -18,8 +18,8 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.media import I420, AccessUnit, CaptureStamp, Quality
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.nal_formats import parameter_sets_of
-from kontur_av.rtp.nal_payload import ReceivedUnit
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.topics.bus import TopicBus
 from pipelines.media.key_picture_maker import key_of

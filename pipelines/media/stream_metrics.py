@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.media import BLOCK_NS
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.sender import RTP_HEADER_OCTETS, RtpIdentity
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.video_sender import PictureCoded, VideoSender

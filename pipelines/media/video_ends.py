@@ -9,7 +9,7 @@ from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.codecs.region import Region
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.sender import RtpIdentity
 from pipelines.media.following import CameraFollower, Choice, focus_region
 from pipelines.media.gain import LinkedVideoSender, gain_of

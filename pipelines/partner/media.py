@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.rtp.rtcp import (

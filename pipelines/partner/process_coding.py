@@ -7,7 +7,7 @@ from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.codecs.opus import OpusEncoder, heard_stamp
 from kontur_av.errors import ProtocolError
 from kontur_av.media import CaptureStamp, Quality
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_often
 from kontur_av.topics.bus import Lease, Reader, TopicBus

@@ -19,7 +19,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import BLOCK_NS, AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from pipelines.hand.replaying import ReplayedEnd, ReplayScript, ReplayTime
 from pipelines.media.following import Choice
 from pipelines.media.media_metrics import CodingCosts

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import partial
 
 from kontur_av.media import AccessUnit, CaptureStamp
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from pipelines.media.following import Choice
 from pipelines.media.showing import OPERATORS, Recall, Showing, publish_click, publish_light

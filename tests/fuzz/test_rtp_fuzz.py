@@ -14,8 +14,8 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.nal_depacketizer import NalDepacketizer
 from kontur_av.rtp.nal_formats import H264, H265, NAL_FORMATS
-from kontur_av.rtp.nal_payload import NalDepacketizer
 from kontur_av.rtp.payload_opus import opus_samples
 from kontur_av.rtp.rtcp import parse_rtcp
 from kontur_av.rtp.sdp import parse_sdp, write_sdp

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from rtp_packets import feed, make_receiver
 
 from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_depacketizer import NalDepacketizer
 from kontur_av.rtp.nal_formats import H264
-from kontur_av.rtp.nal_payload import NalDepacketizer
 from kontur_av.rtp.wire import pack_rtp
 
 PERIOD_TICKS, PERIOD_NS = 3000, 33_333_333

@@ -12,8 +12,8 @@ from kontur_av.codecs.h26x import recovery_point
 from kontur_av.codecs.healing import Healing, recovery_pictures
 from kontur_av.media import empty_picture
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.nal_formats import NAL_FORMATS
-from kontur_av.rtp.nal_payload import ReceivedUnit
 
 
 def received(data, *, damaged=False, lost_before=0, timestamp=0, codec="h264"):

@@ -18,8 +18,8 @@ from rtp_packets import (
 
 from kontur_av.clock import NS_PER_MS as MS
 from kontur_av.clock import NS_PER_S
+from kontur_av.rtp.nal_depacketizer import NalDepacketizer
 from kontur_av.rtp.nal_formats import H264
-from kontur_av.rtp.nal_payload import NalDepacketizer
 from kontur_av.rtp.wire import pack_rtp
 
 #: One tick of 90 kHz.

@@ -11,7 +11,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.h26x import H264Encoder
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.receiver import RtpReceived
 from pipelines.commands.rtc_running import OUTPUT, PartnerOutput

@@ -8,7 +8,7 @@ from common import eventually
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.h26x import H264Decoder, H264Encoder
 from kontur_av.media import AccessUnit, CaptureStamp, Quality, VideoFrame, empty_picture
-from kontur_av.rtp.nal_payload import ReceivedUnit
+from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.media.coded_topics import ReceivedTopic, SentTopic, received_unit
 

@@ -4,8 +4,8 @@ import pytest
 from rtp_packets import received
 
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
+from kontur_av.rtp.nal_depacketizer import NalDepacketizer
 from kontur_av.rtp.nal_formats import H264, H265
-from kontur_av.rtp.nal_payload import NalDepacketizer
 
 SPS, PPS = b"\x67\x42\xc0\x1e", b"\x68\xce\x3c\x80"
 #: Slices whose first_mb_in_slice is 0, and one that continues a picture.
