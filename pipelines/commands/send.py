@@ -6,6 +6,7 @@ from contextlib import closing
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.encoder_settings import SEARCHES
+from kontur_av.hosts import check_reachable, parse_address
 from kontur_av.media import VIDEO_CODECS
 from kontur_av.rtp.sdp import write_sdp
 from kontur_av.streams.feeds import describe
@@ -13,7 +14,6 @@ from kontur_av.streams.udp import UdpSender
 from pipelines.commands.common import check_options
 from pipelines.media.sending import SendShell, open_feed
 from pipelines.report.report_file import check_writable, end_with, write_text
-from pipelines.session.datagrams import check_reachable, parse_address
 from pipelines.session.option_rows import add_options
 
 
