@@ -50,10 +50,10 @@ def host_port(address: tuple[Any, ...]) -> tuple[str, int]:
     return f"{address[0]}{zone}", address[1]
 
 
-def check_reachable(address: tuple[str, int], option: str = "--to") -> None:
+def check_reachable(address: tuple[str, int]) -> None:
     """Raise ConfigError if this machine has no route to `address`."""
     version = ipaddress.ip_address(address[0].partition("%")[0]).version
     family = socket.AF_INET6 if version == 6 else socket.AF_INET
-    why = f"{option} {address[0]}:{address[1]} cannot be reached"
+    why = f"--to {address[0]}:{address[1]} cannot be reached"
     with socket.socket(family, socket.SOCK_DGRAM) as probe, refused(why):
         probe.connect(address)

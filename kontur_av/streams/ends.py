@@ -15,13 +15,14 @@ Use::
 """
 
 import asyncio
-import ipaddress
+import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
+import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -29,12 +30,17 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
 from kontur_av.codecs.decoder import DecodedPicture
+from kontur_av.codecs.encoder import LEAST_VIDEO_BPS
+from kontur_av.codecs.h26x import settings_of
+from kontur_av.codecs.picture_formats import PICTURE_FORMATS, PictureFormat, to_i420
 from kontur_av.codecs.region import Focus
 from kontur_av.errors import ConfigError, one_of, refused, whole
+from kontur_av.hosts import parse_address
 from kontur_av.media import (
     BLOCK_NS,
     BLOCK_SAMPLES,
     I420,
+    VIDEO_CLOCK_HZ,
     VIDEO_CODECS,
     AudioFrame,
     CaptureStamp,
@@ -59,6 +65,8 @@ _STEP_NS = 50 * NS_PER_MS
 _CODED_NS, _LAST_NS = 300 * NS_PER_MS, NS_PER_S
 #: A silence that ends a stream which had begun; and one after a goodbye.
 _SILENCE_NS, _AFTER_GOODBYE_NS = 5 * NS_PER_S, NS_PER_S
+#: The oldest capture that is taken; and one tick of the pictures' timestamps, rounded up.
+_OLDEST_NS, _TICK_NS = 60 * NS_PER_S, NS_PER_S // VIDEO_CLOCK_HZ + 1
 #: Sound that waits for a slow reader: two seconds. Of pictures only the newest waits.
 _MOST_BLOCKS = 100
 
@@ -107,7 +115,7 @@ class _Pictures(_HandedOver[Picture]):
         found = self.take(timeout_ns)
         if found is None:
             return None
-        cv2.cvtColor(found[0], cv2.COLOR_RGB2YUV_I420, dst=into)
+        into[:] = found[0]
         return found[1]
 
 
@@ -132,20 +140,19 @@ class _Sender(_AsyncClosing, Generic[_Item]):
 
     def __init__(self, to: str, cap_bps: int, sdp: str | Path | None, period_ns: int) -> None:
         self._cap_bps = whole(cap_bps, "cap_bps", least=LEAST_BPS, most=MOST_BPS)
-        self._sdp, self._period_ns = sdp, period_ns
-        host, _, port = str(to).rpartition(":")
-        try:
-            self._address = str(ipaddress.ip_address(host.strip("[]"))), int(port)
-        except ValueError:
-            self._address = "", 0
-        if not port.isalnum() or not 0 < self._address[1] < 65_535:
-            raise ConfigError(f"address {to!r}: write HOST:PORT with an IP address")
+        self._period_ns = period_ns
+        with refused(f"sdp {sdp!r}: give a path", TypeError):
+            self._sdp = None if sdp is None else Path(sdp)
+        if self._sdp is not None and not os.access(self._sdp.parent, os.W_OK):
+            raise ConfigError(f"sdp {str(sdp)!r} cannot be written: no such folder, or no right")
+        self._address = parse_address(str(to), "to")
         self._clock = MonotonicClock()
         self._feed: PictureFeed | SoundFeed | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="sending", daemon=True)
         self._error: BaseException | None = None
         self._due_ns = 0
+        self._stamped_ns: int | None = None
 
     @property
     def counts(self) -> SenderCounts:
@@ -169,22 +176,43 @@ class _Sender(_AsyncClosing, Generic[_Item]):
             raise self._error
 
     def _begin(self, feed: PictureFeed | SoundFeed) -> None:
-        self._feed = feed
-        stream = describe(feed, *self._address)
         if self._sdp is not None:
             try:
-                Path(self._sdp).write_text(write_sdp(stream), encoding="utf-8")
+                text = write_sdp(describe(feed, *self._address))
+                self._sdp.write_text(text, encoding="utf-8")
             except OSError as error:
                 feed.close()
                 raise ConfigError(f"{self._sdp} cannot be written: {error.strerror}") from None
+        self._feed = feed
         self._thread.start()
 
-    def _turn_ns(self) -> int:
-        """Return how long the next picture or block must wait for its turn."""
+    def _check_open(self) -> None:
         if self._error is not None:
             raise self._error
         if self._over.is_set():
             raise ConfigError("this end is closed: open another one")
+
+    def _stamp(self, given_ns: int | None, now_ns: int, span_ns: int = 0) -> int:
+        """Return the instant of capture: a given one if it can be, else `span_ns` before now."""
+        before_ns = self._stamped_ns
+        if given_ns is None:
+            stamp_ns = now_ns - span_ns
+        else:
+            stamp_ns = whole(given_ns, "capture_ns", least=0, most=2**63)
+            if not now_ns - _OLDEST_NS <= stamp_ns <= now_ns:
+                raise ConfigError(
+                    f"capture_ns {stamp_ns} is {(now_ns - stamp_ns) / NS_PER_S:.1f} s ago: give "
+                    "the value that time.monotonic_ns() had at the capture, at most a minute ago"
+                )
+            if before_ns is not None and stamp_ns - before_ns < _TICK_NS:
+                raise ConfigError(
+                    f"capture_ns {stamp_ns} is not after the capture before, {before_ns}"
+                )
+        self._stamped_ns = stamp_ns
+        return stamp_ns
+
+    def _turn_ns(self) -> int:
+        """Return how long the next picture or block must wait for its turn."""
         now_ns = self._clock.now_ns()
         # A caller that was late does not hurry afterwards.
         due_ns = max(self._due_ns, now_ns - self._period_ns)
@@ -228,9 +256,10 @@ class _Sender(_AsyncClosing, Generic[_Item]):
 class PictureSender(_Sender[Picture]):
     """Sends pictures to one address, under a hard cap. A context manager, sync or async.
 
-    to: HOST:PORT, an IP address; RTCP goes to the next port.
+    to: HOST:PORT or [IPv6]:PORT. A name is looked up once, now. RTCP goes to the next port.
     cap_bps: of RTP payload, in any second. fps: pictures a second, at most.
     sdp: a file for the receiver, written before the first packet. codec: `h264` or `h265`.
+    format: of the arrays that `send` takes: `rgb`, `bgr`, `grey` or `i420`.
     Raises ConfigError for arguments that cannot work.
     """
 
@@ -242,24 +271,33 @@ class PictureSender(_Sender[Picture]):
         fps: int = 30,
         sdp: str | Path | None = None,
         codec: VideoCodec = "h264",
+        format: PictureFormat = "rgb",
     ) -> None:
         self._fps = whole(fps, "fps", least=1, most=120)
         super().__init__(to, cap_bps, sdp, NS_PER_S // self._fps)
+        whole(cap_bps, "cap_bps of pictures", least=LEAST_VIDEO_BPS, most=MOST_BPS)
         self._codec = one_of(codec, VIDEO_CODECS, "codec")
+        self._format = one_of(format, PICTURE_FORMATS, "format")
+        # It looks for the library, so that the first picture does not wait for that.
+        settings_of(self._codec).encoder_in_use()
         self._source = _Pictures(1)
         self._shape: tuple[int, ...] = ()
         self._focus: Focus | None = None
 
-    def send(self, picture: Picture) -> None:
-        """Wait for the picture's turn, and hand it over. Its capture time is that of the call.
+    def send(self, picture: Picture | av.VideoFrame, *, capture_ns: int | None = None) -> None:
+        """Wait for the picture's turn, and hand it over.
 
-        picture: RGB, shape (height, width, 3), uint8. A picture that still waits when the next one
-        comes is left out. Raises ConfigError for another shape, and what ended the sending.
+        picture: uint8, of the sender's format: RGB or BGR, shape (height, width, 3); grey, 0 to
+        255, shape (height, width); an `I420`, shape (height * 3 // 2, width). Or an `av.VideoFrame`
+        of any format. Width and height are even, 16 to 4096, and the same each time. It is copied.
+        capture_ns: when it was captured, by `time.monotonic_ns()`; None: at the call.
+
+        A picture that still waits when the next one comes is left out. Raises ConfigError for
+        another picture or capture, and what ended the sending.
         """
-        capture_ns = self._clock.now_ns()
-        picture = self._checked(picture)
-        self._clock.sleep_until_ns(capture_ns + self._turn_ns())
-        self._source.put(picture.copy(), capture_ns)
+        item = self._item(picture, capture_ns)
+        self._clock.sleep_until_ns(self._clock.now_ns() + self._turn_ns())
+        self._source.put(*item)
 
     def focus(self, x: float, y: float, width: float, height: float) -> None:
         """Code a part of the pictures finer from now on, at the cost of the rest.
@@ -267,30 +305,32 @@ class PictureSender(_Sender[Picture]):
         x, y: its upper left corner; all four are shares of the picture, 0 to 1. A width of 0 takes
         it away. Raises ConfigError for other numbers.
         """
-        self._focus = Focus(x, y, width, height) if width else None
+        with refused("focus: give four numbers", TypeError):
+            self._focus = Focus(x, y, width, height) if width else None
         if isinstance(self._feed, PictureFeed):
             self._feed.focus = self._focus
 
-    async def asend(self, picture: Picture) -> None:
+    async def asend(
+        self, picture: Picture | av.VideoFrame, *, capture_ns: int | None = None
+    ) -> None:
         """As `send`, in an event loop."""
-        capture_ns = self._clock.now_ns()
-        picture = self._checked(picture)
+        item = self._item(picture, capture_ns)
         await asyncio.sleep(self._turn_ns() / NS_PER_S)
-        self._source.put(picture.copy(), capture_ns)
+        self._source.put(*item)
 
-    def _checked(self, given: Picture) -> Picture:
-        picture = np.asarray(given)
-        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
-            raise ConfigError(
-                f"a picture of shape {picture.shape}, {picture.dtype}: "
-                "give (height, width, 3), uint8, RGB"
-            )
+    def _item(self, given: Picture | av.VideoFrame, capture_ns: int | None) -> tuple[Picture, int]:
+        now_ns = self._clock.now_ns()
+        self._check_open()
+        picture = to_i420(given, self._format)
+        if self._shape and picture.shape != self._shape:
+            sizes = [f"{width}x{rows * 2 // 3}" for rows, width in (picture.shape, self._shape)]
+            raise ConfigError(f"a picture of {sizes[0]} after one of {sizes[1]}")
+        stamp_ns = self._stamp(capture_ns, now_ns)
         if not self._shape:
-            height, width = picture.shape[:2]
             feed = PictureFeed(
                 self._source,
                 self._clock,
-                size=(width, height),
+                size=(picture.shape[1], picture.shape[0] * 2 // 3),
                 fps=self._fps,
                 cap_bps=self._cap_bps,
                 codec=self._codec,
@@ -299,9 +339,7 @@ class PictureSender(_Sender[Picture]):
             feed.focus = self._focus
             self._shape = picture.shape
             self._begin(feed)
-        elif picture.shape != self._shape:
-            raise ConfigError(f"a picture of shape {picture.shape} after one of {self._shape}")
-        return picture
+        return picture, stamp_ns
 
 
 class SoundSender(_Sender[Sound]):
@@ -310,32 +348,34 @@ class SoundSender(_Sender[Sound]):
     def __init__(self, to: str, *, cap_bps: int, sdp: str | Path | None = None) -> None:
         super().__init__(to, cap_bps, sdp, BLOCK_NS)
         self._source = _Blocks(_MOST_BLOCKS)
-        self._begin(SoundFeed(self._source, self._clock, cap_bps=cap_bps))
+        self._begin(SoundFeed(self._source, self._clock, cap_bps=self._cap_bps))
 
-    def send(self, block: Sound) -> None:
-        """Wait for the block's turn, and hand over 20 ms of sound that end at the call.
+    def send(self, block: Sound, *, capture_ns: int | None = None) -> None:
+        """Wait for the block's turn, and hand over 20 ms of sound.
 
-        block: mono, 48 kHz, shape (960,), int16.
+        block: mono, 48 kHz, shape (960,), int16. capture_ns: when its first sample was captured, by
+        `time.monotonic_ns()`; None: 20 ms before the call.
         """
-        block = self._checked(block)
-        capture_ns = self._clock.now_ns() - BLOCK_NS
-        self._clock.sleep_until_ns(capture_ns + BLOCK_NS + self._turn_ns())
-        self._source.put(block.copy(), capture_ns)
+        item = self._item(block, capture_ns)
+        self._clock.sleep_until_ns(self._clock.now_ns() + self._turn_ns())
+        self._source.put(*item)
 
-    async def asend(self, block: Sound) -> None:
+    async def asend(self, block: Sound, *, capture_ns: int | None = None) -> None:
         """As `send`, in an event loop."""
-        block = self._checked(block)
-        capture_ns = self._clock.now_ns() - BLOCK_NS
+        item = self._item(block, capture_ns)
         await asyncio.sleep(self._turn_ns() / NS_PER_S)
-        self._source.put(block.copy(), capture_ns)
+        self._source.put(*item)
 
-    def _checked(self, given: Sound) -> Sound:
-        block = np.asarray(given)
+    def _item(self, given: Sound, capture_ns: int | None) -> tuple[Sound, int]:
+        now_ns = self._clock.now_ns()
+        self._check_open()
+        with refused("a block that numpy cannot read", Exception):
+            block = np.asarray(given)
         if block.dtype != np.int16 or block.shape != (BLOCK_SAMPLES,):
             raise ConfigError(
                 f"a block of shape {block.shape}, {block.dtype}: give ({BLOCK_SAMPLES},), int16"
             )
-        return block
+        return block.copy(), self._stamp(capture_ns, now_ns, BLOCK_NS)
 
 
 class StreamReceiver(_AsyncClosing):

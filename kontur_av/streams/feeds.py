@@ -1,6 +1,7 @@
 """What feeds a stream: a source with its encoder and the sender of its packets."""
 
 import secrets
+from functools import cached_property, partial
 from typing import Literal
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
@@ -19,8 +20,6 @@ from kontur_av.media import (
     VideoFrame,
     empty_picture,
 )
-from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sdp import StreamDescription, profile_level_id, session_bandwidth_bps
 from kontur_av.rtp.sender import RtpIdentity
@@ -32,15 +31,6 @@ from kontur_av.topics.notifier import WaitSet
 
 #: Of the header extension that tells captures.
 _CAPTURE_TIME_ID = 1
-
-
-def _parameter_sets(encoder: VideoEncoder) -> tuple[bytes, ...]:
-    """The parameter sets of `encoder`. Do not use it afterwards: it has begun its stream."""
-    grey = empty_picture(encoder.width, encoder.height)
-    grey.fill(128)
-    units = split_annex_b(encoder.encode(VideoFrame(grey, CaptureStamp(0, 0, "twin"))).data)
-    form = NAL_FORMATS[encoder.codec]
-    return tuple(unit for unit in units if form.nal_type(unit) in form.sets)
 
 
 class PictureFeed:
@@ -101,14 +91,8 @@ class PictureFeed:
             capture_time_id=_CAPTURE_TIME_ID,
             adapt_refresh=refresh_s is None,
         )
-        # The SDP must exist before the first packet. A second encoder of the same settings has the
-        # same parameter sets, and the real one still begins with the first real picture. A third
-        # shows the level that pictures may grow to.
-        self.parameter_sets = _parameter_sets(make(coded_size))
         self.codec: VideoCodec = codec
-        self.profile_level_id = ""
-        if codec == "h264":
-            self.profile_level_id = profile_level_id(_parameter_sets(make(encoder.largest_size)))
+        self._make = partial(make, coded_size), partial(make, encoder.largest_size)
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
         self._clock = clock
@@ -118,6 +102,20 @@ class PictureFeed:
         self.source = source
         self._encoding = EncodingThread(encoder, clock)
         self._wait_set = WaitSet([], [self._encoding.fileno()])
+
+    # The SDP must exist before the first packet. A second encoder of the same settings has the same
+    # parameter sets, and the real one still begins with the first real picture.
+    @cached_property
+    def parameter_sets(self) -> tuple[bytes, ...]:
+        """The parameter sets of the stream."""
+        return self._make[0]().parameter_sets()
+
+    @cached_property
+    def profile_level_id(self) -> str:
+        """As of `StreamDescription`, of the largest pictures that may come."""
+        if self.codec != "h264":
+            return ""
+        return profile_level_id(self._make[1]().parameter_sets())
 
     def step(self, timeout_ns: int) -> None:
         """Take a picture or an access unit; return within `timeout_ns`, or as soon as there is
