@@ -15,6 +15,10 @@ ABS_CAPTURE_TIME = "http://www.webrtc.org/experiments/rtp-hdrext/abs-capture-tim
 #: The least and the largest delay that a receiver may add before it shows a picture.
 PLAYOUT_DELAY = "http://www.webrtc.org/experiments/rtp-hdrext/playout-delay"
 
+#: Which picture of its sender a packet begins: the number from 0 on, modulo 2**16. At times the
+#: whole number, in 32 bits, and the width and height in which it was handed over, in 16 bits each.
+PICTURE = "urn:x-kontur-av:picture"
+
 #: The profile of one-octet headers, in the place of the extension's type.
 _ONE_OCTET = 0xBEDE
 _HEADER = struct.Struct("!HH")
@@ -99,6 +103,23 @@ def send_time_element(now_ns: int) -> bytes:
 def capture_time_element(unix_ns: int) -> bytes:
     """Return the value of ABS_CAPTURE_TIME for a capture, without a clock offset."""
     return ntp_from_unix_ns(unix_ns).to_bytes(8, "big")
+
+
+def picture_element(number: int, size: tuple[int, int] | None = None) -> bytes:
+    """Return the value of PICTURE; size: None for the short form."""
+    if size is None:
+        return (number & 0xFFFF).to_bytes(2, "big")
+    return struct.pack("!LHH", number & 0xFFFF_FFFF, *size)
+
+
+def read_picture(value: bytes) -> tuple[int, tuple[int, int] | None] | None:
+    """Return number and size of PICTURE; None if the value has not 2 or 8 octets."""
+    if len(value) == 2:
+        return int.from_bytes(value, "big"), None
+    if len(value) != 8:
+        return None
+    number, width, height = struct.unpack("!LHH", value)
+    return number, (width, height)
 
 
 def read_capture_time(value: bytes) -> int | None:

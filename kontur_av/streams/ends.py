@@ -18,12 +18,12 @@ import asyncio
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
 
 import av
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,10 +32,10 @@ from kontur_av.closing import Closing
 from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.codecs.encoder import LEAST_VIDEO_BPS
 from kontur_av.codecs.h26x import settings_of
-from kontur_av.codecs.picture_formats import PICTURE_FORMATS, PictureFormat, to_i420
+from kontur_av.codecs.picture_formats import PICTURE_FORMATS, PictureFormat, from_i420, to_i420
 from kontur_av.codecs.region import Focus
 from kontur_av.errors import ConfigError, one_of, refused, whole
-from kontur_av.hosts import parse_address
+from kontur_av.hosts import LAST_PORT, parse_address
 from kontur_av.media import (
     BLOCK_NS,
     BLOCK_SAMPLES,
@@ -46,11 +46,22 @@ from kontur_av.media import (
     CaptureStamp,
     Quality,
     VideoCodec,
+    check_size,
+    empty_picture,
 )
+from kontur_av.modular import serial_difference
+from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
 from kontur_av.streams.budget import LEAST_BPS, MOST_BPS
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
-from kontur_av.streams.feeds import PictureFeed, SoundFeed, describe
+from kontur_av.streams.feeds import (
+    STREAM_CODECS,
+    PictureFeed,
+    SoundFeed,
+    StreamCodec,
+    describe,
+    undescribed,
+)
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.udp import UdpReceiver, UdpSender
 from kontur_av.streams.video_receiver import VideoReceiver
@@ -58,7 +69,9 @@ from kontur_av.streams.voice_receiver import VoiceReceiver
 
 Picture = NDArray[np.uint8]
 Sound = NDArray[np.int16]
-_Item = TypeVar("_Item", Picture, Sound)
+_Kind = TypeVar("_Kind", Picture, Sound)
+#: Why a stream has ended.
+Ended = Literal["goodbye", "timeout", "closed", "error"]
 
 _STEP_NS = 50 * NS_PER_MS
 #: After `close`: the time to code the last picture, and the most to send its packets.
@@ -67,41 +80,61 @@ _CODED_NS, _LAST_NS = 300 * NS_PER_MS, NS_PER_S
 _SILENCE_NS, _AFTER_GOODBYE_NS = 5 * NS_PER_S, NS_PER_S
 #: The oldest capture that is taken; and one tick of the pictures' timestamps, rounded up.
 _OLDEST_NS, _TICK_NS = 60 * NS_PER_S, NS_PER_S // VIDEO_CLOCK_HZ + 1
+#: The timestamps behind its first one that are taken for those of a new source.
+_BEGINNING = 1 << 28
 #: Sound that waits for a slow reader: two seconds. Of pictures only the newest waits.
 _MOST_BLOCKS = 100
 
 
-class Received(NamedTuple):
-    """A picture or a block of sound, as it is handed over.
+@dataclass(frozen=True, slots=True, eq=False)
+class Received:
+    """A picture or a block of sound, as it is handed over. Unpacking gives the first three fields.
 
-    data: a picture, RGB, shape (height, width, 3), uint8; or sound, mono, 48 kHz, shape (n,),
-        int16.
-    age_ms: since its capture, by the wall clocks of both hosts. None until a report of the sender
-        tells when that was; a sender without a clock never does.
+    data: a picture in the receiver's size and format, uint8, by default RGB of shape
+        (height, width, 3); or sound, mono, 48 kHz, shape (n,), int16.
+    age_ms: since its capture, by the wall clocks of both hosts. None until the sender tells when
+        that was: our own does with the first picture, others in a report or never.
+    capture_ns: the same instant by this host's `time.monotonic_ns()`; of sound, of its begin.
+    error_ns: the most by which `capture_ns` and age may be off; None: not measured.
+    sequence: the sender's number of the picture, from 0 on; missing ones were left out or lost. Of
+        sound: 20 ms since its first block. None: the sender does not tell it.
+    restarted: the first one of a sender that began anew, such as a program that was started again.
     """
 
     data: Any
     age_ms: float | None
     quality: Quality
+    capture_ns: int | None = None
+    error_ns: int | None = None
+    sequence: int | None = None
+    restarted: bool = False
+
+    @property
+    def damaged(self) -> bool:
+        """Whether a loss shows in it, or it was concealed."""
+        return self.quality is not Quality.FRESH
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.data, self.age_ms, self.quality))
 
 
-class _HandedOver(Generic[_Item]):
+class _HandedOver(Generic[_Kind]):
     """The source of a stream whose pictures or blocks a caller hands over."""
 
     faults, last_fault = 0, ""
 
     def __init__(self, most: int) -> None:
         self._ready = threading.Condition()
-        self._waiting: deque[tuple[_Item, CaptureStamp]] = deque(maxlen=most)
+        self._waiting: deque[tuple[_Kind, CaptureStamp]] = deque(maxlen=most)
         self._count = 0
 
-    def put(self, item: _Item, capture_ns: int) -> None:
+    def put(self, item: _Kind, capture_ns: int) -> None:
         with self._ready:
             self._waiting.append((item, CaptureStamp(capture_ns, self._count, "numpy")))
             self._count += 1
             self._ready.notify()
 
-    def take(self, timeout_ns: int) -> tuple[_Item, CaptureStamp] | None:
+    def take(self, timeout_ns: int) -> tuple[_Kind, CaptureStamp] | None:
         with self._ready:
             self._ready.wait_for(lambda: self._waiting, timeout_ns / NS_PER_S)
             return self._waiting.popleft() if self._waiting else None
@@ -135,7 +168,7 @@ class _AsyncClosing(Closing):
         await asyncio.to_thread(self.__exit__, *error)
 
 
-class _Sender(_AsyncClosing, Generic[_Item]):
+class _Sender(_AsyncClosing, Generic[_Kind]):
     """What the senders of pictures and of sound share."""
 
     def __init__(self, to: str, cap_bps: int, sdp: str | Path | None, period_ns: int) -> None:
@@ -379,27 +412,56 @@ class SoundSender(_Sender[Sound]):
 
 
 class StreamReceiver(_AsyncClosing):
-    """Receives the stream that an SDP describes: an iterator, sync or async, and a context manager.
+    """Receives a stream: an iterator, sync or async, and a context manager.
 
-    It yields `Received`, from the first picture or sound on; the first ones have no age yet. A slow
-    reader gets the newest picture; sound waits for two seconds. Iteration ends with the stream: at
-    its goodbye, or when it has been silent for 5 s.
+    It yields `Received`, from the first picture or sound on. A slow reader gets the newest picture;
+    sound waits for two seconds. Iteration ends with the stream: at its goodbye, or when it has been
+    silent for 5 s.
 
-    sdp: a file. Raises ConfigError if it cannot be used, or its port not be opened.
+    sdp: a file that describes the stream. Or, without one:
+    port: of RTP, on every address of this host. codec: `h264`, `h265` or `opus`.
+    payload_type: of RTP; None: that of this package's senders, 96, of sound 97.
+    size: of pictures: "sent", as they were handed to the sender, or as coded if it tells no size;
+        None: as coded, which may change in mid-stream; (width, height): scaled to that.
+    format: of pictures: `rgb`, `bgr`, `grey` or `i420`, as of `PictureSender`.
+    Raises ConfigError if an argument cannot be used, or the port not be opened.
 
-    skipped: pictures or blocks that the reader was too slow for. ended: why there is no more.
+    skipped: pictures or blocks that the reader was too slow for.
+    ended: why there is no more: `goodbye` of the sender, `timeout`, `closed` by `close`, or
+        `error`, which the iterator raises; None: the stream goes on.
     """
 
-    def __init__(self, sdp: str | Path) -> None:
-        with refused(f"{sdp} cannot be read"):
-            text = Path(sdp).read_text(encoding="utf-8", errors="replace")
-        stream = parse_sdp(text)
+    def __init__(
+        self,
+        sdp: str | Path | None = None,
+        *,
+        port: int | None = None,
+        codec: StreamCodec = "h264",
+        payload_type: int | None = None,
+        size: tuple[int, int] | Literal["sent"] | None = "sent",
+        format: PictureFormat = "rgb",
+    ) -> None:
+        if (sdp is None) == (port is None):
+            raise ConfigError("give the file sdp, or port and codec")
+        if sdp is None:
+            codec = one_of(codec, STREAM_CODECS, "codec")
+            port = whole(port, "port", least=1, most=LAST_PORT - 1)
+            if payload_type is not None:
+                payload_type = whole(payload_type, "payload_type", least=0, most=127)
+            stream = undescribed(port, codec, payload_type)
+        else:
+            with refused(f"{sdp} cannot be read", OSError, TypeError, ValueError):
+                text = Path(sdp).read_text(encoding="utf-8", errors="replace")
+            stream = parse_sdp(text)
+        self._format = one_of(format, PICTURE_FORMATS, "format")
+        self._size = size if size in ("sent", None) else _checked_size(size)
         self._clock = MonotonicClock()
         self._udp = UdpReceiver(stream.host, stream.port, stream.control_port, stream.sources)
         self._ready = threading.Condition()
-        self._waiting: deque[tuple[Any, int | None, Quality]] = deque()
+        self._waiting: deque[_Item] = deque()
         self._most = 1 if stream.kind == "video" else _MOST_BLOCKS
-        self.skipped, self.ended = 0, ""
+        self.skipped = 0
+        self.ended: Ended | None = None
         self._error: BaseException | None = None
         drive = self._pictures if stream.kind == "video" else self._sound
         self._thread = threading.Thread(target=self._run, args=(drive, stream), daemon=True)
@@ -441,28 +503,44 @@ class StreamReceiver(_AsyncClosing):
                 raise self._error
             if not self._waiting:
                 return None
-            data, capture_ns, quality = self._waiting.popleft()
-        if data.ndim == 2:
-            data = cv2.cvtColor(data, cv2.COLOR_YUV2RGB_I420)
-        now_ns = self._clock.now_ns()
+            item = self._waiting.popleft()
+        data = item.data if isinstance(item.data, np.ndarray) else self._shaped(item)
+        now_ns, capture_ns = self._clock.now_ns(), item.capture_ns
         age_ms = None if capture_ns is None else (now_ns - capture_ns) / NS_PER_MS
-        return Received(data, age_ms, quality)
+        return Received(
+            data,
+            age_ms,
+            item.quality,
+            capture_ns=capture_ns,
+            sequence=item.sequence,
+            restarted=item.restarted,
+        )
 
-    def _put(self, data: Any, capture_ns: int | None, quality: Quality) -> None:
+    def _shaped(self, item: "_Item") -> Picture:
+        """Return a picture in the wanted size and format."""
+        decoded = item.data
+        size = item.sent_size if self._size == "sent" else self._size
+        picture = empty_picture(*(size or (decoded.width, decoded.height)))
+        decoded.scale_into(picture)
+        return from_i420(picture, self._format)
+
+    def _put(self, item: "_Item") -> None:
         with self._ready:
             if len(self._waiting) >= self._most:
-                self._waiting.popleft()
+                # A reader that misses the first picture of a new sender must still be told.
+                if self._waiting.popleft().restarted:
+                    item = item._replace(restarted=True)
                 self.skipped += 1
-            self._waiting.append((data, capture_ns, quality))
+            self._waiting.append(item)
             self._ready.notify()
 
-    def _end(self, why: str) -> None:
+    def _end(self, why: Ended) -> None:
         with self._ready:
             self.ended = self.ended or why
             self._ready.notify_all()
 
-    def _run(self, drive: Callable[[StreamDescription], str], stream: StreamDescription) -> None:
-        why = "an error"
+    def _run(self, drive: Callable[[StreamDescription], Ended], stream: StreamDescription) -> None:
+        why: Ended = "error"
         try:
             why = drive(stream)
         except BaseException as error:
@@ -471,14 +549,25 @@ class StreamReceiver(_AsyncClosing):
             self._udp.close()
             self._end(why)
 
-    def _pictures(self, stream: StreamDescription) -> str:
+    def _pictures(self, stream: StreamDescription) -> Ended:
         decoding = PictureDecoding(stream, self._clock)
         receiver = decoding.receiver
 
         def put(pictures: Iterable[tuple[DecodedPicture, object]]) -> None:
             for picture, _ in pictures:
-                quality = Quality.DAMAGED if receiver.shows_damage else Quality.FRESH
-                self._put(picture.to_i420(), receiver.capture_ns(picture.timestamp), quality)
+                timestamp, restarted = picture.timestamp, _reaches(picture, receiver.restarted_at)
+                if restarted:
+                    receiver.restarted_at = None
+                self._put(
+                    _Item(
+                        picture,
+                        receiver.capture_ns(timestamp),
+                        Quality.DAMAGED if receiver.shows_damage else Quality.FRESH,
+                        receiver.number(timestamp),
+                        restarted,
+                        receiver.sent_size,
+                    )
+                )
 
         def drain() -> None:
             for _, pictures in decoding.units():
@@ -493,18 +582,33 @@ class StreamReceiver(_AsyncClosing):
             put(rest)
         return why
 
-    def _sound(self, stream: StreamDescription) -> str:
+    def _sound(self, stream: StreamDescription) -> Ended:
         decoding = SoundDecoding(stream, self._clock)
+        receiver, first, restarted_at = decoding.receiver, None, None
 
         def drain() -> None:
-            decoding.receiver.take_arrivals()
+            nonlocal first, restarted_at
+            for packet in receiver.take_arrivals():
+                if packet.restart and first is not None:
+                    restarted_at = packet.timestamp
             for block, sound, decoded, _ in decoding.blocks():
-                capture_ns = decoding.receiver.capture_ns(block.timestamp)
-                self._put(sound, capture_ns, Quality.FRESH if decoded else Quality.CONCEALED)
+                restarted = _reaches(block, restarted_at)
+                if restarted or first is None:
+                    first, restarted_at = block.timestamp, None
+                passed = serial_difference(block.timestamp - first)
+                self._put(
+                    _Item(
+                        sound,
+                        receiver.capture_ns(block.timestamp),
+                        Quality.FRESH if decoded else Quality.CONCEALED,
+                        passed // BLOCK_SAMPLES,
+                        restarted,
+                    )
+                )
 
-        return self._follow(decoding.receiver, drain)
+        return self._follow(receiver, drain)
 
-    def _follow(self, receiver: VideoReceiver | VoiceReceiver, drain: Callable[[], None]) -> str:
+    def _follow(self, receiver: VideoReceiver | VoiceReceiver, drain: Callable[[], None]) -> Ended:
         """Receive until the end, and return why it came."""
         packets, heard_ns = 0, None
         while not self.ended:
@@ -518,7 +622,32 @@ class StreamReceiver(_AsyncClosing):
             if heard_ns is None:
                 continue
             if receiver.ended and now_ns - heard_ns > _AFTER_GOODBYE_NS:
-                return "the sender has said goodbye"
+                return "goodbye"
             if now_ns - heard_ns > _SILENCE_NS:
-                return "silent for 5 s"
+                return "timeout"
         return self.ended
+
+
+class _Item(NamedTuple):
+    """What waits for the reader. data: a decoded picture, or sound."""
+
+    data: Any
+    capture_ns: int | None
+    quality: Quality
+    sequence: int | None
+    restarted: bool
+    sent_size: tuple[int, int] | None = None
+
+
+def _reaches(of: DecodedPicture | PlayoutBlock, timestamp: int | None) -> bool:
+    """Return whether it is of the source that began at this timestamp."""
+    return timestamp is not None and 0 <= serial_difference(of.timestamp - timestamp) < _BEGINNING
+
+
+def _checked_size(size: Any) -> tuple[int, int]:
+    try:
+        width, height = (whole(side, "size", least=0, most=1 << 16) for side in size)
+    except (TypeError, ValueError):
+        raise ConfigError(f"size {size!r}: give 'sent', None or (width, height)") from None
+    check_size(width, height)
+    return width, height

@@ -1,8 +1,10 @@
 """What feeds a stream: a source with its encoder and the sender of its packets."""
 
 import secrets
+import socket
+from dataclasses import replace
 from functools import cached_property, partial
-from typing import Literal
+from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, coded_rate_for
@@ -29,8 +31,11 @@ from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_sender import VoiceSender
 from kontur_av.topics.notifier import WaitSet
 
-#: Of the header extension that tells captures.
-_CAPTURE_TIME_ID = 1
+#: What a stream carries.
+StreamCodec = Literal["h264", "h265", "opus"]
+STREAM_CODECS: tuple[StreamCodec, ...] = get_args(StreamCodec)
+#: Of the header extensions that tell captures, and numbers and sizes of pictures.
+_CAPTURE_TIME_ID, _PICTURE_ID = 1, 2
 
 
 class PictureFeed:
@@ -40,7 +45,6 @@ class PictureFeed:
     """
 
     kind: Literal["video", "audio"] = "video"
-    payload_type = VIDEO_PAYLOAD_TYPE
     #: The sender's events stamp the sound of a packet this much earlier than its block.
     lookahead_ns = 0
 
@@ -89,12 +93,16 @@ class PictureFeed:
             cname=_cname(),
             wall_offset_ns=clock.wall_offset_ns,
             capture_time_id=_CAPTURE_TIME_ID,
+            picture_id=_PICTURE_ID,
+            size=size,
             adapt_refresh=refresh_s is None,
         )
         self.codec: VideoCodec = codec
         self._make = partial(make, coded_size), partial(make, encoder.largest_size)
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
+        #: Of header extensions: one for each picture, and a longer one each second.
+        self.extension_bps = 8 * (8 * fps + 16)
         self._clock = clock
         #: What the source writes to, and the newest whole picture.
         self._coming, self._newest = empty_picture(width, height), empty_picture(width, height)
@@ -151,12 +159,11 @@ class SoundFeed:
     """Sound from its source to the sender."""
 
     kind: Literal["video", "audio"] = "audio"
-    payload_type = AUDIO_PAYLOAD_TYPE
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
     parameter_sets: tuple[bytes, ...] = ()
     profile_level_id = ""
     codec: VideoCodec = "h264"
-    packets_per_s = 50.0
+    packets_per_s, extension_bps = 50.0, 8 * 16
 
     def __init__(
         self,
@@ -196,18 +203,35 @@ class SoundFeed:
 
 def describe(feed: PictureFeed | SoundFeed, host: str, port: int) -> StreamDescription:
     """Return what receivers at `host` must know of the stream."""
-    return StreamDescription(
-        kind=feed.kind,
+    bandwidth_bps = session_bandwidth_bps(feed.sender.cap_bps, feed.packets_per_s, host)
+    return replace(
+        undescribed(port, feed.codec if feed.kind == "video" else "opus"),
         host=host,
-        port=port,
-        payload_type=feed.payload_type,
-        bandwidth_bps=session_bandwidth_bps(feed.sender.cap_bps, feed.packets_per_s, host),
-        codec=feed.codec,
+        bandwidth_bps=bandwidth_bps + feed.extension_bps,
         parameter_sets=feed.parameter_sets,
         profile_level_id=feed.profile_level_id,
-        feedback=True,
         reduced_size=True,
+    )
+
+
+def undescribed(
+    port: int, codec: StreamCodec, payload_type: int | None = None
+) -> StreamDescription:
+    """Return what a receiver may suppose of a stream that no SDP describes: ours, or another.
+
+    payload_type: None: that of our senders.
+    """
+    sound = codec == "opus"
+    usual = AUDIO_PAYLOAD_TYPE if sound else VIDEO_PAYLOAD_TYPE
+    return StreamDescription(
+        kind="audio" if sound else "video",
+        host="::" if socket.has_dualstack_ipv6() else "0.0.0.0",
+        port=port,
+        payload_type=usual if payload_type is None else payload_type,
+        codec="h264" if codec == "opus" else codec,
+        feedback=True,
         capture_time_id=_CAPTURE_TIME_ID,
+        picture_id=None if sound else _PICTURE_ID,
     )
 
 

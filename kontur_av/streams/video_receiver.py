@@ -2,6 +2,7 @@
 
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.healing import Healing
@@ -11,6 +12,7 @@ from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import NalDepacketizer, ReceivedUnit
+from kontur_av.rtp.picture_marks import PictureMarks
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.reports import AVPF_LEAST_NS
 from kontur_av.streams.reporting_receiver import ReportingReceiver
@@ -64,7 +66,7 @@ class VideoReceiver(ReportingReceiver):
         show the sender that it may refresh slowly. None: none are sent, to save their octets.
     bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     reduced_size: the sender takes a PLI without a report before it (RFC 5506).
-    capture_time_id: see `RtpReceiver`.
+    capture_time_id: see `RtpReceiver`. picture_id: of the header extension PICTURE, or None.
     payload_type: of the stream. marked: see `NalDepacketizer`.
     reorder_depth_ns: see `RtpReceiver`. Longer than a round trip where lost packets are sent again.
     most_reorder_ns: see `RtpReceiver`.
@@ -83,6 +85,7 @@ class VideoReceiver(ReportingReceiver):
         bandwidth_bps: int | None = None,
         reduced_size: bool = False,
         capture_time_id: int | None = None,
+        picture_id: int | None = None,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
         marked: bool = False,
         reorder_depth_ns: int = REORDER_DEPTH_NS,
@@ -103,6 +106,9 @@ class VideoReceiver(ReportingReceiver):
         self._name, self._codec = name, codec
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = NalDepacketizer(NAL_FORMATS[codec], parameter_sets, marked=marked)
+        self._marks = PictureMarks(picture_id)
+        #: The first timestamp of the newest source, where another came before it.
+        self.restarted_at: int | None = None
         self._healing = Healing()
         #: Timestamps of units in the decoder that will show damage, and whether to withhold them.
         self._corrupted: OrderedDict[int, bool] = OrderedDict()
@@ -117,6 +123,20 @@ class VideoReceiver(ReportingReceiver):
         self.shows_damage = False
         self._shown = self._undated = self._oversized = self._withheld = 0
         self._without_references = 0
+
+    def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
+        """As of every stream; a picture's number and size may stand in it."""
+        self._marks.handle_packet(datagram, self._receiver.ssrc)
+        super().handle_packet(datagram, now_ns, source)
+
+    def number(self, timestamp: int) -> int | None:
+        """Return the sender's number of the picture of this RTP timestamp, if it was told."""
+        return self._marks.number(self._receiver.ssrc, timestamp)
+
+    @property
+    def sent_size(self) -> tuple[int, int] | None:
+        """Width and height in which pictures were handed to the sender, if it tells them."""
+        return self._marks.size(self._receiver.ssrc)
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
@@ -171,6 +191,7 @@ class VideoReceiver(ReportingReceiver):
         while (packet := self._receiver.next_event()) is not None:
             if packet.restart and self._receiver.counts.sources > 1:
                 # Another camera, perhaps: its pictures are not predicted from those before.
+                self.restarted_at = packet.timestamp
                 self._healing.handle_damage()
             self._depacketizer.handle_packet(packet)
 
