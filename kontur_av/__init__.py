@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from kontur_av.streams.encoding_thread import EncodingThread
     from kontur_av.streams.ends import PictureSender, Received, SoundSender, StreamReceiver
     from kontur_av.streams.lipsync import LipSync
+    from kontur_av.streams.sending import send
     from kontur_av.streams.staleness import Staleness
     from kontur_av.streams.udp import UdpReceiver, UdpSender
     from kontur_av.streams.video_receiver import VideoReceiver
@@ -89,6 +90,7 @@ __all__ = [
     "open_video",
     "parse_sdp",
     "planes",
+    "send",
     "write_sdp",
 ]
 

@@ -15,8 +15,8 @@ ABS_CAPTURE_TIME = "http://www.webrtc.org/experiments/rtp-hdrext/abs-capture-tim
 #: The least and the largest delay that a receiver may add before it shows a picture.
 PLAYOUT_DELAY = "http://www.webrtc.org/experiments/rtp-hdrext/playout-delay"
 
-#: Which picture of its sender a packet begins: the number from 0 on, modulo 2**16. At times the
-#: whole number, in 32 bits, and the width and height in which it was handed over, in 16 bits each.
+#: Which picture of its sender a packet begins, and its size when it was handed over: the number
+#: from 0 on, modulo 2**24, and half of width and height in 12 bits each.
 PICTURE = "urn:x-kontur-av:picture"
 
 #: The profile of one-octet headers, in the place of the extension's type.
@@ -105,21 +105,17 @@ def capture_time_element(unix_ns: int) -> bytes:
     return ntp_from_unix_ns(unix_ns).to_bytes(8, "big")
 
 
-def picture_element(number: int, size: tuple[int, int] | None = None) -> bytes:
-    """Return the value of PICTURE; size: None for the short form."""
-    if size is None:
-        return (number & 0xFFFF).to_bytes(2, "big")
-    return struct.pack("!LHH", number & 0xFFFF_FFFF, *size)
+def picture_element(number: int, width: int, height: int) -> bytes:
+    """Return the value of PICTURE. width, height: as of `media.check_size`."""
+    return ((number & 0xFF_FFFF) << 24 | width // 2 << 12 | height // 2).to_bytes(6, "big")
 
 
-def read_picture(value: bytes) -> tuple[int, tuple[int, int] | None] | None:
-    """Return number and size of PICTURE; None if the value has not 2 or 8 octets."""
-    if len(value) == 2:
-        return int.from_bytes(value, "big"), None
-    if len(value) != 8:
-        return None
-    number, width, height = struct.unpack("!LHH", value)
-    return number, (width, height)
+def read_picture(value: bytes) -> tuple[int, int, int] | None:
+    """Return number, width and height of PICTURE; None if no picture can have them."""
+    told = int.from_bytes(value, "big")
+    width, height = (told >> 12 & 0xFFF) * 2, (told & 0xFFF) * 2
+    fits = len(value) == 6 and 16 <= width <= 4096 and 16 <= height <= 4096
+    return (told >> 24, width, height) if fits else None
 
 
 def read_capture_time(value: bytes) -> int | None:

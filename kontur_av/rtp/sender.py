@@ -88,7 +88,7 @@ class RtpSender:
         wall_offset_ns: int = 0,
         capture_time_id: int | None = None,
         picture_id: int | None = None,
-        size: tuple[int, int] | None = None,
+        size: tuple[int, int] = (0, 0),
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz
@@ -133,7 +133,7 @@ class RtpSender:
             for index, payload in enumerate(payloads)
         ]
         begins = any(form.nal_type(unit) == form.sps for unit in units)
-        self._extend(packets, access_unit.stamp, self._picture_id, begins=begins)
+        self._publish_capture(packets, begins=begins)
         return Packetized(packets, timestamp, [len(payload) for payload in payloads])
 
     def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> Packetized:
@@ -159,7 +159,7 @@ class RtpSender:
         timestamp = (self._offset + self._blocks * self._samples_per_packet) & 0xFFFF_FFFF
         self._last_stamp, self._last_timestamp = stamp, timestamp
         packets = [self._packet(opus, timestamp, marker=gap)]
-        self._extend(packets, stamp, None)
+        self._publish_capture(packets)
         return Packetized(packets, timestamp, [len(opus)])
 
     def timestamp(self, capture_ns: int) -> int:
@@ -173,28 +173,19 @@ class RtpSender:
         self.payload_octets_sent += len(packet) - header_octets(packet)
         self._timer.begin(now_ns)
 
-    def _extend(
-        self,
-        packets: list[bytes],
-        stamp: CaptureStamp,
-        picture_id: int | None,
-        *,
-        begins: bool = False,
-    ) -> None:
-        """Tell number, capture and size in the first packet; the last two only if that is due.
-
-        begins: a decoder can begin here, so it is due.
+    def _publish_capture(self, packets: list[bytes], *, begins: bool = False) -> None:
+        """Tell the capture in the first packet, if that is due: a decoder can begin here, or it was
+        told a second ago. Tell the picture's number and size in any case.
         """
-        told_ns, elements = self._told_ns, list[tuple[int, bytes]]()
+        stamp, told_ns, elements = self._last_stamp, self._told_ns, list[tuple[int, bytes]]()
+        assert stamp is not None
         due = begins or told_ns is None or not 0 <= stamp.capture_ns - told_ns < _CAPTURE_TIME_NS
         if due and self._capture_time_id is not None:
+            self._told_ns = stamp.capture_ns
             told = capture_time_element(stamp.capture_ns + self._wall_offset_ns)
             elements.append((self._capture_time_id, told))
-        if due:
-            self._told_ns = stamp.capture_ns
-        if picture_id is not None:
-            told = picture_element(stamp.sequence, self._size if due else None)
-            elements.append((picture_id, told))
+        if self._picture_id is not None:
+            elements.append((self._picture_id, picture_element(stamp.sequence, *self._size)))
         packets[0] = extended(packets[0], elements)
 
     def _packet(self, payload: bytes, timestamp: int, *, marker: bool) -> bytes:

@@ -19,9 +19,12 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
+from operator import index
 from pathlib import Path
-from typing import Any, Generic, Literal, NamedTuple, Self, TypeVar
+from typing import Any, Generic, Literal, Self, TypeVar
 
 import av
 import numpy as np
@@ -49,9 +52,7 @@ from kontur_av.media import (
     check_size,
     empty_picture,
 )
-from kontur_av.modular import serial_difference
-from kontur_av.rtp.playout import PlayoutBlock
-from kontur_av.rtp.sdp import StreamDescription, parse_sdp, write_sdp
+from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.budget import LEAST_BPS, MOST_BPS
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
 from kontur_av.streams.feeds import (
@@ -59,10 +60,11 @@ from kontur_av.streams.feeds import (
     PictureFeed,
     SoundFeed,
     StreamCodec,
-    describe,
     undescribed,
+    write_description,
 )
 from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.sending import SendShell
 from kontur_av.streams.udp import UdpReceiver, UdpSender
 from kontur_av.streams.video_receiver import VideoReceiver
 from kontur_av.streams.voice_receiver import VoiceReceiver
@@ -80,8 +82,6 @@ _CODED_NS, _LAST_NS = 300 * NS_PER_MS, NS_PER_S
 _SILENCE_NS, _AFTER_GOODBYE_NS = 5 * NS_PER_S, NS_PER_S
 #: The oldest capture that is taken; and one tick of the pictures' timestamps, rounded up.
 _OLDEST_NS, _TICK_NS = 60 * NS_PER_S, NS_PER_S // VIDEO_CLOCK_HZ + 1
-#: The timestamps behind its first one that are taken for those of a new source.
-_BEGINNING = 1 << 28
 #: Sound that waits for a slow reader: two seconds. Of pictures only the newest waits.
 _MOST_BLOCKS = 100
 
@@ -95,9 +95,8 @@ class Received:
     age_ms: since its capture, by the wall clocks of both hosts. None until the sender tells when
         that was: our own does with the first picture, others in a report or never.
     capture_ns: the same instant by this host's `time.monotonic_ns()`; of sound, of its begin.
-    error_ns: the most by which `capture_ns` and age may be off; None: not measured.
-    sequence: the sender's number of the picture, from 0 on; missing ones were left out or lost. Of
-        sound: 20 ms since its first block. None: the sender does not tell it.
+    sequence: the sender's number of the picture, from 0 on and modulo 2**24; missing ones were left
+        out or lost. None of sound, and if the sender does not tell it, as others do not.
     restarted: the first one of a sender that began anew, such as a program that was started again.
     """
 
@@ -105,7 +104,6 @@ class Received:
     age_ms: float | None
     quality: Quality
     capture_ns: int | None = None
-    error_ns: int | None = None
     sequence: int | None = None
     restarted: bool = False
 
@@ -177,7 +175,7 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
         with refused(f"sdp {sdp!r}: give a path", TypeError):
             self._sdp = None if sdp is None else Path(sdp)
         if self._sdp is not None and not os.access(self._sdp.parent, os.W_OK):
-            raise ConfigError(f"sdp {str(sdp)!r} cannot be written: no such folder, or no right")
+            raise ConfigError(f"sdp {str(sdp)!r} cannot be written: give a folder that is there")
         self._address = parse_address(str(to), "to")
         self._clock = MonotonicClock()
         self._feed: PictureFeed | SoundFeed | None = None
@@ -186,6 +184,7 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
         self._error: BaseException | None = None
         self._due_ns = 0
         self._stamped_ns: int | None = None
+        self._over_ns = 0
 
     @property
     def counts(self) -> SenderCounts:
@@ -198,7 +197,7 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
         return 0.0 if self._feed is None else self._feed.sender.released.max_bps()
 
     def close(self) -> None:
-        """Send what waits, in a second at most, and say goodbye. It may be called twice."""
+        """Send what waits, in two seconds at most, and say goodbye. It may be called twice."""
         self._over.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -211,11 +210,10 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
     def _begin(self, feed: PictureFeed | SoundFeed) -> None:
         if self._sdp is not None:
             try:
-                text = write_sdp(describe(feed, *self._address))
-                self._sdp.write_text(text, encoding="utf-8")
-            except OSError as error:
+                write_description(feed, self._address, self._sdp)
+            except ConfigError:
                 feed.close()
-                raise ConfigError(f"{self._sdp} cannot be written: {error.strerror}") from None
+                raise
         self._feed = feed
         self._thread.start()
 
@@ -253,37 +251,21 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
         return max(0, due_ns - now_ns)
 
     def _run(self) -> None:
+        assert self._feed is not None
         try:
-            udp = UdpSender(*self._address)
-            try:
-                self._drive(udp)
-            finally:
-                udp.close()
+            with closing(self._feed), closing(UdpSender(*self._address)) as udp:
+                SendShell(self._feed, udp, self._clock).run(self._is_over)
         except BaseException as error:
             self._error = error
-        finally:
-            if self._feed is not None:
-                self._feed.close()
 
-    def _drive(self, udp: UdpSender) -> None:
-        feed, clock = self._feed, self._clock
-        assert feed is not None
-        sender = feed.sender
-        over_ns: int | None = None
-        while True:
-            now_ns, due_ns = clock.now_ns(), sender.poll_timeout()
-            if over_ns is None and self._over.is_set():
-                over_ns = now_ns
-            if over_ns is not None and now_ns - over_ns > (
-                _CODED_NS if due_ns is None else _LAST_NS
-            ):
-                break
-            wait_ns = _STEP_NS if due_ns is None else min(due_ns - now_ns, _STEP_NS)
-            feed.step(max(wait_ns, 0))
-            udp.exchange(sender, clock)
-            while sender.next_event() is not None:
-                pass
-        udp.say_goodbye(sender, clock)
+    def _is_over(self) -> bool:
+        """Return whether there was time to code the last picture, since the end was closed."""
+        if self._feed is None or not self._over.is_set():
+            return False
+        now_ns = self._clock.now_ns()
+        self._over_ns = self._over_ns or now_ns
+        waits = self._feed.sender.poll_timeout() is not None
+        return now_ns - self._over_ns > (_LAST_NS if waits else _CODED_NS)
 
 
 class PictureSender(_Sender[Picture]):
@@ -454,11 +436,15 @@ class StreamReceiver(_AsyncClosing):
                 text = Path(sdp).read_text(encoding="utf-8", errors="replace")
             stream = parse_sdp(text)
         self._format = one_of(format, PICTURE_FORMATS, "format")
-        self._size = size if size in ("sent", None) else _checked_size(size)
+        with refused(f"size {size!r}: give 'sent', None or (width, height)", TypeError, ValueError):
+            if not (size is None or (isinstance(size, str) and size == "sent")):
+                width, height = map(index, size)
+                check_size(width, height)
+        self._size = size
         self._clock = MonotonicClock()
         self._udp = UdpReceiver(stream.host, stream.port, stream.control_port, stream.sources)
         self._ready = threading.Condition()
-        self._waiting: deque[_Item] = deque()
+        self._waiting: deque[Received] = deque()
         self._most = 1 if stream.kind == "video" else _MOST_BLOCKS
         self.skipped = 0
         self.ended: Ended | None = None
@@ -504,32 +490,25 @@ class StreamReceiver(_AsyncClosing):
             if not self._waiting:
                 return None
             item = self._waiting.popleft()
-        data = item.data if isinstance(item.data, np.ndarray) else self._shaped(item)
-        now_ns, capture_ns = self._clock.now_ns(), item.capture_ns
-        age_ms = None if capture_ns is None else (now_ns - capture_ns) / NS_PER_MS
-        return Received(
-            data,
-            age_ms,
-            item.quality,
-            capture_ns=capture_ns,
-            sequence=item.sequence,
-            restarted=item.restarted,
-        )
+        # A picture is converted only here, by who reads it.
+        data = item.data() if callable(item.data) else item.data
+        age_ms = None
+        if item.capture_ns is not None:
+            age_ms = (self._clock.now_ns() - item.capture_ns) / NS_PER_MS
+        return replace(item, data=data, age_ms=age_ms)
 
-    def _shaped(self, item: "_Item") -> Picture:
+    def _shaped(self, decoded: DecodedPicture, sent_size: tuple[int, int] | None) -> Picture:
         """Return a picture in the wanted size and format."""
-        decoded = item.data
-        size = item.sent_size if self._size == "sent" else self._size
+        size = sent_size if self._size == "sent" else self._size
         picture = empty_picture(*(size or (decoded.width, decoded.height)))
         decoded.scale_into(picture)
         return from_i420(picture, self._format)
 
-    def _put(self, item: "_Item") -> None:
+    def _put(self, item: Received) -> None:
         with self._ready:
             if len(self._waiting) >= self._most:
-                # A reader that misses the first picture of a new sender must still be told.
-                if self._waiting.popleft().restarted:
-                    item = item._replace(restarted=True)
+                # Who misses the first picture of a sender that began anew is told by the next one.
+                item = replace(item, restarted=item.restarted | self._waiting.popleft().restarted)
                 self.skipped += 1
             self._waiting.append(item)
             self._ready.notify()
@@ -552,20 +531,21 @@ class StreamReceiver(_AsyncClosing):
     def _pictures(self, stream: StreamDescription) -> Ended:
         decoding = PictureDecoding(stream, self._clock)
         receiver = decoding.receiver
+        size: tuple[int, int] | None = None
 
         def put(pictures: Iterable[tuple[DecodedPicture, object]]) -> None:
+            nonlocal size
             for picture, _ in pictures:
-                timestamp, restarted = picture.timestamp, _reaches(picture, receiver.restarted_at)
-                if restarted:
-                    receiver.restarted_at = None
+                if told := receiver.told(picture.timestamp):
+                    size = told[1:]
                 self._put(
-                    _Item(
-                        picture,
-                        receiver.capture_ns(timestamp),
+                    Received(
+                        partial(self._shaped, picture, size),
+                        None,
                         Quality.DAMAGED if receiver.shows_damage else Quality.FRESH,
-                        receiver.number(timestamp),
-                        restarted,
-                        receiver.sent_size,
+                        receiver.capture_ns(picture.timestamp),
+                        told and told[0],
+                        receiver.take_restart(picture.timestamp),
                     )
                 )
 
@@ -584,27 +564,15 @@ class StreamReceiver(_AsyncClosing):
 
     def _sound(self, stream: StreamDescription) -> Ended:
         decoding = SoundDecoding(stream, self._clock)
-        receiver, first, restarted_at = decoding.receiver, None, None
+        receiver = decoding.receiver
 
         def drain() -> None:
-            nonlocal first, restarted_at
-            for packet in receiver.take_arrivals():
-                if packet.restart and first is not None:
-                    restarted_at = packet.timestamp
+            receiver.take_arrivals()
             for block, sound, decoded, _ in decoding.blocks():
-                restarted = _reaches(block, restarted_at)
-                if restarted or first is None:
-                    first, restarted_at = block.timestamp, None
-                passed = serial_difference(block.timestamp - first)
-                self._put(
-                    _Item(
-                        sound,
-                        receiver.capture_ns(block.timestamp),
-                        Quality.FRESH if decoded else Quality.CONCEALED,
-                        passed // BLOCK_SAMPLES,
-                        restarted,
-                    )
-                )
+                quality = Quality.FRESH if decoded else Quality.CONCEALED
+                capture_ns = receiver.capture_ns(block.timestamp)
+                restarted = receiver.take_restart(block.timestamp)
+                self._put(Received(sound, None, quality, capture_ns, None, restarted))
 
         return self._follow(receiver, drain)
 
@@ -626,28 +594,3 @@ class StreamReceiver(_AsyncClosing):
             if now_ns - heard_ns > _SILENCE_NS:
                 return "timeout"
         return self.ended
-
-
-class _Item(NamedTuple):
-    """What waits for the reader. data: a decoded picture, or sound."""
-
-    data: Any
-    capture_ns: int | None
-    quality: Quality
-    sequence: int | None
-    restarted: bool
-    sent_size: tuple[int, int] | None = None
-
-
-def _reaches(of: DecodedPicture | PlayoutBlock, timestamp: int | None) -> bool:
-    """Return whether it is of the source that began at this timestamp."""
-    return timestamp is not None and 0 <= serial_difference(of.timestamp - timestamp) < _BEGINNING
-
-
-def _checked_size(size: Any) -> tuple[int, int]:
-    try:
-        width, height = (whole(side, "size", least=0, most=1 << 16) for side in size)
-    except (TypeError, ValueError):
-        raise ConfigError(f"size {size!r}: give 'sent', None or (width, height)") from None
-    check_size(width, height)
-    return width, height

@@ -4,6 +4,7 @@ import secrets
 import socket
 from dataclasses import replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
@@ -13,6 +14,7 @@ from kontur_av.codecs.encoder_settings import Search
 from kontur_av.codecs.h26x import encoder_of, settings_of
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusEncoder
 from kontur_av.codecs.region import Focus
+from kontur_av.errors import refused
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
     AUDIO_PAYLOAD_TYPE,
@@ -23,7 +25,7 @@ from kontur_av.media import (
     empty_picture,
 )
 from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
-from kontur_av.rtp.sdp import StreamDescription, profile_level_id, session_bandwidth_bps
+from kontur_av.rtp.sdp import StreamDescription, profile_level_id, session_bandwidth_bps, write_sdp
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.source import AudioSource, VideoSource
 from kontur_av.streams.encoding_thread import EncodingThread
@@ -102,7 +104,7 @@ class PictureFeed:
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
         #: Of header extensions: one for each picture, and a longer one each second.
-        self.extension_bps = 8 * (8 * fps + 16)
+        self.extension_bps = 8 * 12 * (fps + 1)
         self._clock = clock
         #: What the source writes to, and the newest whole picture.
         self._coming, self._newest = empty_picture(width, height), empty_picture(width, height)
@@ -212,6 +214,12 @@ def describe(feed: PictureFeed | SoundFeed, host: str, port: int) -> StreamDescr
         profile_level_id=feed.profile_level_id,
         reduced_size=True,
     )
+
+
+def write_description(feed: PictureFeed | SoundFeed, to: tuple[str, int], path: str | Path) -> None:
+    """Write an SDP for receivers at an IP address and port. ConfigError if it cannot be."""
+    with refused(f"sdp {str(path)!r} cannot be written", OSError, TypeError):
+        Path(path).write_text(write_sdp(describe(feed, *to)), encoding="utf-8")
 
 
 def undescribed(

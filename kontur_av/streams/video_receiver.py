@@ -1,23 +1,26 @@
 """The receiver of a video stream: access units to decode, stamps of pictures, and feedback."""
 
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from struct import pack
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.healing import Healing
+from kontur_av.errors import ProtocolError
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality, VideoCodec
 from kontur_av.metrics import Flat, Newest
 from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
+from kontur_av.rtp.header_extensions import elements_of, read_picture
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import NalDepacketizer, ReceivedUnit
-from kontur_av.rtp.picture_marks import PictureMarks
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.reports import AVPF_LEAST_NS
 from kontur_av.streams.reporting_receiver import ReportingReceiver
 
-#: The most damaged units that are remembered while they are decoded.
+#: The most units whose damage or numbers are remembered while they are decoded.
 _REMEMBERED = 256
 #: After a pause as long as a loss of signal a key picture is on its way, since a new contact begins
 #: with one. Damaged pictures before it are not shown, for a time.
@@ -106,9 +109,8 @@ class VideoReceiver(ReportingReceiver):
         self._name, self._codec = name, codec
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = NalDepacketizer(NAL_FORMATS[codec], parameter_sets, marked=marked)
-        self._marks = PictureMarks(picture_id)
-        #: The first timestamp of the newest source, where another came before it.
-        self.restarted_at: int | None = None
+        self._picture_id = picture_id
+        self._told: OrderedDict[bytes, tuple[int, int, int]] = OrderedDict()
         self._healing = Healing()
         #: Timestamps of units in the decoder that will show damage, and whether to withhold them.
         self._corrupted: OrderedDict[int, bool] = OrderedDict()
@@ -126,17 +128,18 @@ class VideoReceiver(ReportingReceiver):
 
     def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
         """As of every stream; a picture's number and size may stand in it."""
-        self._marks.handle_packet(datagram, self._receiver.ssrc)
+        with suppress(ProtocolError):
+            told = read_picture(elements_of(datagram).get(self._picture_id or 0, b""))
+            if told is not None:
+                # By RTP timestamp and SSRC: sources that may follow have theirs, too.
+                self._told[datagram[4:12]] = told
+                if len(self._told) > _REMEMBERED:
+                    self._told.popitem(last=False)
         super().handle_packet(datagram, now_ns, source)
 
-    def number(self, timestamp: int) -> int | None:
-        """Return the sender's number of the picture of this RTP timestamp, if it was told."""
-        return self._marks.number(self._receiver.ssrc, timestamp)
-
-    @property
-    def sent_size(self) -> tuple[int, int] | None:
-        """Width and height in which pictures were handed to the sender, if it tells them."""
-        return self._marks.size(self._receiver.ssrc)
+    def told(self, timestamp: int) -> tuple[int, int, int] | None:
+        """Return number, width and height of a picture as its sender told them, or None."""
+        return self._told.get(pack("!LL", timestamp, self._receiver.ssrc or 0))
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""
@@ -191,7 +194,6 @@ class VideoReceiver(ReportingReceiver):
         while (packet := self._receiver.next_event()) is not None:
             if packet.restart and self._receiver.counts.sources > 1:
                 # Another camera, perhaps: its pictures are not predicted from those before.
-                self.restarted_at = packet.timestamp
                 self._healing.handle_damage()
             self._depacketizer.handle_packet(packet)
 

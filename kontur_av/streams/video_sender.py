@@ -92,7 +92,7 @@ class VideoSender(PacedSender):
         report_interval_ns: int = NS_PER_S,
         capture_time_id: int | None = None,
         picture_id: int | None = None,
-        size: tuple[int, int] | None = None,
+        size: tuple[int, int] = (0, 0),
     ) -> None:
         pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, picture_ns=int(NS_PER_S // fps))
         rtp = RtpSender(

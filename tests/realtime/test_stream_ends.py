@@ -4,6 +4,7 @@ import asyncio
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -89,6 +90,26 @@ def test_size_number_and_capture_travel_and_a_restart_is_told(to):
         assert all(one.age_ms >= 0 and not one.damaged for one in part)
     data, age_ms, quality = seen[0]
     assert (data is seen[0].data, age_ms, quality) == (True, seen[0].age_ms, Quality.FRESH)
+
+
+def test_a_source_is_sent_until_it_is_told_to_stop():
+    port, seen, said = free_port(), [], []
+    source = Path(__file__).parents[2] / "samples" / "clip.mp4"
+    with av.StreamReceiver(port=port, size=(64, 48)) as pictures, ThreadPoolExecutor() as pool:
+        reading = pool.submit(lambda: seen.extend(pictures))
+        report = av.send(
+            str(source),
+            f"localhost:{port}",
+            cap_bps=np.float64(250e3),
+            size=(320, 242),
+            stopped=lambda: len(seen) > 5 and said,
+            say=said.append,
+        )
+        reading.result()
+    assert {one.data.shape for one in seen} == {(48, 64, 3)} and pictures.ended == "goodbye"
+    assert report.failed == [] and report.size == (320, 242)
+    assert report.sender.frames_sent > 5 and 0 < report.payload_bps_max_1s <= report.cap_bps
+    assert said[0].count("kbit/s") == 1
 
 
 async def test_an_async_reader_is_ended_from_outside(tmp_path):

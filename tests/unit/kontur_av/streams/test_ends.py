@@ -3,6 +3,7 @@
 import socket
 import time
 from fractions import Fraction
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,6 +18,7 @@ from kontur_av.streams import ends
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
 HERE = "127.0.0.1:9"
+CLIP = str(Path(__file__).parents[4] / "samples" / "clip.mp4")
 
 
 def pictures(to=HERE, **options):
@@ -105,6 +107,28 @@ def test_what_cannot_work_is_refused_in_one_line(tmp_path):
         end.send(GREY)
 
 
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"source": "none.mp4"}, "none.mp4"),
+        ({"to": "127.0.0.1"}, "HOST:PORT"),
+        ({"cap_bps": "250k"}, "cap_bps '250k'"),
+        ({"size": (641, 480)}, "641x480"),
+        ({"size": 640}, "size 640: give"),
+        ({"fps": 0}, "fps 0"),
+        ({"codec": "vp8"}, "codec 'vp8'"),
+        ({"search": "long"}, "search 'long'"),
+        ({"refresh_s": "slow"}, "refresh_s and seconds"),
+        ({"seconds": "10 s"}, "refresh_s and seconds"),
+        ({"sdp": "none/s.sdp"}, "cannot be written"),
+    ],
+)
+def test_send_refuses_what_cannot_work(options, reason):
+    usual = {"source": CLIP, "to": HERE, "cap_bps": 85_000, "seconds": 0.1}
+    with pytest.raises(av.ConfigError, match=reason):
+        av.send(**usual | options)
+
+
 def test_what_ends_the_thread_reaches_the_caller(monkeypatch):
     def fail(*_):
         raise RuntimeError("out of order")
@@ -159,7 +183,7 @@ def test_pictures_have_the_size_that_is_asked_for_whatever_they_were_coded_in():
         ):
             reader._size = size
             picture = DecodedPicture(0, False, *coded, Fraction(1), frame)
-            data = reader._shaped(ends._Item(picture, 0, av.Quality.FRESH, 0, False, sent))
+            data = reader._shaped(picture, sent)
             assert data.shape == seen and abs(data.mean() - 200) < 2
 
 

@@ -67,8 +67,8 @@ def test_pictures_come_out_as_they_went_in(codec, monkeypatch):
                 assert unit.codec == codec
                 # The very first picture has its date, number (from 1 here) and size.
                 since_ns = decoding.receiver.capture_ns(unit.timestamp) - 5 * NS_PER_S
-                assert decoding.receiver.number(unit.timestamp) == round(since_ns / PERIOD_NS) + 1
-                assert decoding.receiver.sent_size == SIZE
+                told = round(since_ns / PERIOD_NS) + 1, *SIZE
+                assert decoding.receiver.told(unit.timestamp) == told
                 seen += [
                     (p.to_i420()[: SIZE[1]].mean(), stamp, p.width, p.height) for p, stamp in shown
                 ]
@@ -95,9 +95,9 @@ def test_a_stream_of_pictures_is_described_before_its_first_packet():
         stream = describe(feed, "::1", 5004)
         about = stream.kind, stream.host, stream.port, stream.payload_type
         assert about == ("video", "::1", 5004, 96)
-        # A packet for each picture, and one more for each 1200 octets; IPv6, UDP and RTP: 60. Eight
-        # octets of extension for each picture, and 16 more each second.
-        headers = (25 + 300_000 / 8 / 1200) * 60 + 25 * 8 + 16
+        # A packet for each picture, and one more for each 1200 octets; IPv6, UDP and RTP: 60. An
+        # extension of 12 octets for each picture, and one of 24 each second.
+        headers = (25 + 300_000 / 8 / 1200) * 60 + 26 * 12
         assert stream.bandwidth_bps == 300_000 + round(headers * 8)
         assert [unit[0] & 31 for unit in stream.parameter_sets] == [7, 8]
         assert stream.profile_level_id and (stream.capture_time_id, stream.picture_id) == (1, 2)
