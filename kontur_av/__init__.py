@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from kontur_av.errors import ConfigError, ProtocolError
     from kontur_av.media import AudioFrame, CaptureStamp, Quality, VideoFrame
     from kontur_av.sources import open_audio, open_video
-    from kontur_av.streams import PictureSender, Received, SoundSender, StreamReceiver
+    from kontur_av.streams import PictureSender, Received, SoundSender, StreamReceiver, send
     from kontur_av.topics import TopicBus
 
 __version__ = "0.1.0"
@@ -54,6 +54,7 @@ __all__ = [
     "VideoFrame",
     "open_audio",
     "open_video",
+    "send",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__, moved=_MOVED)

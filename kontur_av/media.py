@@ -152,11 +152,10 @@ def empty_picture(width: int, height: int) -> I420:
 
 
 def check_size(width: int, height: int) -> None:
-    """Raise ConfigError unless an `I420` can have this size: width even, height a multiple of 4."""
-    if width < 16 or height < 16 or width % 2 or height % 4 or width > 4096 or height > 4096:
+    """Raise ConfigError unless an `I420` can have this size: both even, from 16 to 4096."""
+    if not (16 <= width <= 4096 and 16 <= height <= 4096) or width % 2 or height % 2:
         raise ConfigError(
-            f"size {width}x{height}: the width must be even, the height a multiple of 4, "
-            "both from 16 to 4096"
+            f"size {width}x{height}: width and height must be even, both from 16 to 4096"
         )
 
 

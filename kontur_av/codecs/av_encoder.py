@@ -13,7 +13,7 @@ from av.video.frame import PictureType
 
 from kontur_av.codecs.colours import tell_bt601
 from kontur_av.errors import ConfigError
-from kontur_av.media import I420, VIDEO_CLOCK_HZ
+from kontur_av.media import I420, NEUTRAL_CHROMA, VIDEO_CLOCK_HZ, empty_picture
 
 #: The side of a macroblock, in pixels.
 BLOCK = 16
@@ -58,6 +58,9 @@ class OpenEncoder(Protocol):
 
         number: of the pictures before it. parts: where they overlap, the first one counts.
         """
+
+    def headers(self) -> bytes:
+        """Return the parameter sets, as Annex B, and perhaps more. Encode nothing afterwards."""
 
     def follow(self, options: dict[str, str]) -> bool:
         """Take another rate and buffer without a key picture; False if it cannot."""
@@ -115,6 +118,11 @@ class AvEncoder:
         stats = packet.get_sidedata("quality_stats")
         quality, squares = unpack_from("=I4xQ", bytes(stats).ljust(_STATS_OCTETS, b"\0"))
         return EncodedPicture(bytes(packet), packet.is_keyframe, quality / _LAMBDA, squares)
+
+    def headers(self) -> bytes:
+        grey = empty_picture(*self._size)
+        grey.fill(NEUTRAL_CHROMA)
+        return self.encode(grey, 0, (), keyframe=True).data
 
     def follow(self, options: dict[str, str]) -> bool:
         return False

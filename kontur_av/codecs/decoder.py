@@ -195,7 +195,7 @@ class VideoDecoder:
         return [picture for frame in frames if (picture := self._picture(frame)) is not None]
 
     def _picture(self, frame: av.VideoFrame) -> DecodedPicture | None:
-        width, height = frame.width // 2 * 2, frame.height // 4 * 4
+        width, height = frame.width // 2 * 2, frame.height // 2 * 2
         try:
             check_size(width, height)
             if frame.format.name not in ("yuv420p", "yuvj420p"):

@@ -30,7 +30,10 @@ from kontur_av.media import (
     check_size,
     empty_picture,
 )
+from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.nal_formats import NAL_FORMATS
 
+LEAST_VIDEO_BPS = 10_000
 #: How much to soften a picture that somebody waits for: nothing is visible before it.
 _SOFT_AWAITED = 0.8
 #: The same for the first pictures in a larger size. The picture comes into focus over 0.2 s, which
@@ -89,8 +92,8 @@ class VideoEncoder:
         rate = Fraction(fps).limit_denominator(1001)
         if not 1 <= rate <= 120:
             raise ConfigError(f"{float(rate):g} pictures a second: take a rate from 1 to 120")
-        if cap_bps < 10_000:
-            raise ConfigError(f"video at {cap_bps} bit/s: give it at least 10000")
+        if cap_bps < LEAST_VIDEO_BPS:
+            raise ConfigError(f"video at {cap_bps} bit/s: give it at least {LEAST_VIDEO_BPS}")
         coded = coded_size or coded_size_for(width, height, rate, cap_bps, self.codec)
         check_size(*coded)
         if coded[0] > width or coded[1] > height:
@@ -136,6 +139,12 @@ class VideoEncoder:
     def unit_size(self) -> tuple[int, int]:
         """Width and height, in pixels, in which the newest access unit was coded."""
         return self._settings.width, self._settings.height
+
+    def parameter_sets(self) -> tuple[bytes, ...]:
+        """Return the NAL units with which the stream begins. Encode nothing afterwards."""
+        form = NAL_FORMATS[self.codec]
+        units = split_annex_b(self._codec.headers())
+        return tuple(unit for unit in units if form.nal_type(unit) in form.sets)
 
     def encode(
         self, frame: VideoFrame, coding: Coding = _LIKE_BEFORE, *, region: Region | None = None

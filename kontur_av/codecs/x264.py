@@ -52,6 +52,7 @@ _ARGUMENTS = {
     "param_parse": (c_void_p, c_char_p, c_char_p),
     "picture_init": (c_void_p,),
     "encoder_reconfig": (c_void_p, c_void_p),
+    "encoder_headers": (c_void_p,) * 3,
     "encoder_encode": (c_void_p,) * 5,
     "encoder_close": (c_void_p,),
 }
@@ -173,6 +174,12 @@ class X264Encoder:
         data = string_at(self._nals[0].payload, taken)
         squares = luma * 255.0**2 / 10 ** (coded.properties.psnr[0] / 10)
         return EncodedPicture(data, bool(coded.keyframe), coded.quantiser_plus_1 - 1.0, squares)
+
+    def headers(self) -> bytes:
+        taken = self._x264.x264_encoder_headers(
+            self._encoder, byref(self._nals), byref(self._count)
+        )
+        return string_at(self._nals[0].payload, max(taken, 0))
 
     def follow(self, options: dict[str, str]) -> bool:
         self._set(_rates(options))

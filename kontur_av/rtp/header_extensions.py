@@ -15,6 +15,10 @@ ABS_CAPTURE_TIME = "http://www.webrtc.org/experiments/rtp-hdrext/abs-capture-tim
 #: The least and the largest delay that a receiver may add before it shows a picture.
 PLAYOUT_DELAY = "http://www.webrtc.org/experiments/rtp-hdrext/playout-delay"
 
+#: Which picture of its sender a packet begins, and its size when it was handed over: the number
+#: from 0 on, modulo 2**24, and half of width and height in 12 bits each.
+PICTURE = "urn:x-kontur-av:picture"
+
 #: The profile of one-octet headers, in the place of the extension's type.
 _ONE_OCTET = 0xBEDE
 _HEADER = struct.Struct("!HH")
@@ -99,6 +103,19 @@ def send_time_element(now_ns: int) -> bytes:
 def capture_time_element(unix_ns: int) -> bytes:
     """Return the value of ABS_CAPTURE_TIME for a capture, without a clock offset."""
     return ntp_from_unix_ns(unix_ns).to_bytes(8, "big")
+
+
+def picture_element(number: int, width: int, height: int) -> bytes:
+    """Return the value of PICTURE. width, height: as of `media.check_size`."""
+    return ((number & 0xFF_FFFF) << 24 | width // 2 << 12 | height // 2).to_bytes(6, "big")
+
+
+def read_picture(value: bytes) -> tuple[int, int, int] | None:
+    """Return number, width and height of PICTURE; None if no picture can have them."""
+    told = int.from_bytes(value, "big")
+    width, height = (told >> 12 & 0xFFF) * 2, (told & 0xFFF) * 2
+    fits = len(value) == 6 and 16 <= width <= 4096 and 16 <= height <= 4096
+    return (told >> 24, width, height) if fits else None
 
 
 def read_capture_time(value: bytes) -> int | None:

@@ -140,6 +140,8 @@ class RtpReceiver:
         self.ssrc: int | None = None
         #: The source has said goodbye (RTCP BYE).
         self.ended = False
+        #: The first timestamp of the newest source, where another came before it.
+        self.restarted_at: int | None = None
         #: The newest other payload type that came instead of the stream's.
         self.other_payload_type: int | None = None
         least_ns = reorder_depth_ns if ordered else 0
@@ -278,6 +280,8 @@ class RtpReceiver:
         self._events.append(
             RtpReceived(packet, payload, extended, timestamp, received_ns, lost_before, restart)
         )
+        if restart and self.counts.sources > 1:
+            self.restarted_at = timestamp
         self._restart = False
         self._next = max(self._next, extended + 1)
 

@@ -18,7 +18,7 @@ from kontur_av.media import AUDIO_CLOCK_HZ, VIDEO_CLOCK_HZ, VideoCodec
 from kontur_av.media import AUDIO_PAYLOAD_TYPE as AUDIO_PAYLOAD_TYPE
 from kontur_av.media import VIDEO_PAYLOAD_TYPE as VIDEO_PAYLOAD_TYPE
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.header_extensions import ABS_CAPTURE_TIME
+from kontur_av.rtp.header_extensions import ABS_CAPTURE_TIME, PICTURE
 from kontur_av.rtp.nal_formats import H265, H265_PPS, H265_SPS, H265_VPS, NAL_FORMATS
 
 _UDP_OCTETS, _RTP_OCTETS = 8, 12
@@ -59,6 +59,7 @@ class StreamDescription:
     picture takes PLIs.
     reduced_size: the sender takes PLIs without a report before them (RFC 5506).
     capture_time_id: of the header extension ABS_CAPTURE_TIME, 1 to 14; None: the stream has none.
+    picture_id: likewise, of the header extension PICTURE.
     sources: the only IP addresses that send to the group `host` (RFC 4570); empty: any.
     name: of the session (s=).
     """
@@ -75,6 +76,7 @@ class StreamDescription:
     feedback: bool = False
     reduced_size: bool = False
     capture_time_id: int | None = None
+    picture_id: int | None = None
     sources: tuple[str, ...] = ()
     name: str = "kontur-av"
 
@@ -137,8 +139,9 @@ def write_sdp(stream: StreamDescription) -> str:
         lines.append("a=ptime:20")
     if stream.feedback and stream.reduced_size:
         lines.append("a=rtcp-rsize")
-    if stream.capture_time_id is not None:
-        lines.append(f"a=extmap:{stream.capture_time_id} {ABS_CAPTURE_TIME}")
+    for number, uri in ((stream.capture_time_id, ABS_CAPTURE_TIME), (stream.picture_id, PICTURE)):
+        if number is not None:
+            lines.append(f"a=extmap:{number} {uri}")
     lines.append("a=recvonly")
     return "\r\n".join(lines) + "\r\n"
 
@@ -270,7 +273,8 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
     rtcp_port = int(control[0]) if control and 1 <= int(control[0]) <= 65535 else None
     # Only ids of one-octet headers are read; the rest of the line may name a direction.
     extensions = [rest.split()[:2] for rest in told["a=extmap"]]
-    ids = [one[0].partition("/")[0] for one in extensions if one[1:] == [ABS_CAPTURE_TIME]]
+    told_ids = {one[1]: one[0].partition("/")[0] for one in extensions if one[1:]}
+    ids = {uri: int(number) for uri, number in told_ids.items() if number in _IDS}
     kind: Literal["video", "audio"]
     codec: VideoCodec = "h264"
     for payload_type in fields[3:]:
@@ -302,7 +306,8 @@ def _parse_media(block: list[tuple[str, str]], host: str, name: str) -> StreamDe
             bandwidth_bps=1000 * (rates or [0])[-1] or None,
             feedback="AVPF" in fields[2].upper(),
             reduced_size=bool(told["a=rtcp-rsize"]),
-            capture_time_id=int(ids[-1]) if ids and ids[-1] in _IDS else None,
+            capture_time_id=ids.get(ABS_CAPTURE_TIME),
+            picture_id=ids.get(PICTURE),
             codec=codec,
             parameter_sets=sets,
             profile_level_id="" if level == profile_level_id(sets) else level,

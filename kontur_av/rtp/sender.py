@@ -7,7 +7,12 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.header_extensions import capture_time_element, extended, header_octets
+from kontur_av.rtp.header_extensions import (
+    capture_time_element,
+    extended,
+    header_octets,
+    picture_element,
+)
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.reports import AVPF_LEAST_NS, ReportTimer
@@ -19,9 +24,9 @@ from kontur_av.rtp.rtcp import (
 )
 from kontur_av.rtp.wire import pack_rtp
 
-#: The header of every packet of this sender: no CSRC, no extension (RFC 3550 section 5.1).
+#: The fixed header of a packet (RFC 3550 section 5.1).
 RTP_HEADER_OCTETS = 12
-#: The time between two packets that tell their capture.
+#: The most time between two packets that tell their capture.
 _CAPTURE_TIME_NS = NS_PER_S
 
 
@@ -68,7 +73,9 @@ class RtpSender:
     max_payload_octets: the largest payload of a video packet.
     samples_per_packet: of a voice.
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
-    capture_time_id: of the header extension that tells a capture once a second; None: no extension.
+    capture_time_id: of the header extension that tells a capture once a second, and where decoders
+        can begin; None: no extension.
+    picture_id, size: of the header extension PICTURE, and what it tells; None: no extension.
     """
 
     def __init__(
@@ -86,6 +93,8 @@ class RtpSender:
         samples_per_packet: int = BLOCK_SAMPLES,
         wall_offset_ns: int = 0,
         capture_time_id: int | None = None,
+        picture_id: int | None = None,
+        size: tuple[int, int] = (0, 0),
     ) -> None:
         self.payload_type = payload_type
         self.clock_rate_hz = clock_rate_hz
@@ -104,6 +113,7 @@ class RtpSender:
         self._samples_per_packet = samples_per_packet
         self._wall_offset_ns = wall_offset_ns
         self._capture_time_id = capture_time_id
+        self._picture_id, self._size = picture_id, size
         self._told_ns: int | None = None
         self._last_stamp: CaptureStamp | None = None
         self._last_timestamp = 0
@@ -117,7 +127,8 @@ class RtpSender:
         Raises ValueError if it has no NAL unit, or one that RTP cannot carry.
         """
         form = NAL_FORMATS[access_unit.codec]
-        payloads = form.packetize(split_annex_b(access_unit.data), self.max_payload_octets)
+        units = split_annex_b(access_unit.data)
+        payloads = form.packetize(units, self.max_payload_octets)
         if not payloads:
             raise ValueError("an access unit without a NAL unit")
         timestamp = self.timestamp(access_unit.stamp.capture_ns)
@@ -127,7 +138,8 @@ class RtpSender:
             self._packet(payload, timestamp, marker=index == last)
             for index, payload in enumerate(payloads)
         ]
-        self._publish_capture(packets)
+        begins = any(form.nal_type(unit) == form.sps for unit in units)
+        self._publish_capture(packets, begins=begins)
         return Packetized(packets, timestamp, [len(payload) for payload in payloads])
 
     def audio_packets(self, opus: bytes, stamp: CaptureStamp) -> Packetized:
@@ -167,16 +179,20 @@ class RtpSender:
         self.payload_octets_sent += len(packet) - header_octets(packet)
         self._timer.begin(now_ns)
 
-    def _publish_capture(self, packets: list[bytes]) -> None:
-        """Tell the capture in the first packet, if that is due."""
-        if self._capture_time_id is None or self._last_stamp is None:
-            return
-        capture_ns = self._last_stamp.capture_ns
-        if self._told_ns is not None and 0 <= capture_ns - self._told_ns < _CAPTURE_TIME_NS:
-            return
-        self._told_ns = capture_ns
-        element = capture_time_element(capture_ns + self._wall_offset_ns)
-        packets[0] = extended(packets[0], [(self._capture_time_id, element)])
+    def _publish_capture(self, packets: list[bytes], *, begins: bool = False) -> None:
+        """Tell the capture in the first packet, if that is due: a decoder can begin here, or it was
+        told a second ago. Tell the picture's number and size in any case.
+        """
+        stamp, told_ns, elements = self._last_stamp, self._told_ns, list[tuple[int, bytes]]()
+        assert stamp is not None
+        due = begins or told_ns is None or not 0 <= stamp.capture_ns - told_ns < _CAPTURE_TIME_NS
+        if due and self._capture_time_id is not None:
+            self._told_ns = stamp.capture_ns
+            told = capture_time_element(stamp.capture_ns + self._wall_offset_ns)
+            elements.append((self._capture_time_id, told))
+        if self._picture_id is not None:
+            elements.append((self._picture_id, picture_element(stamp.sequence, *self._size)))
+        packets[0] = extended(packets[0], elements)
 
     def _packet(self, payload: bytes, timestamp: int, *, marker: bool) -> bytes:
         packet = pack_rtp(

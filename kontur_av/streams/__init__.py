@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from kontur_av.streams.ends import PictureSender, Received, SoundSender, StreamReceiver
     from kontur_av.streams.lipsync import LipSync
     from kontur_av.streams.paced_sender import UnitSent
+    from kontur_av.streams.sending import send
     from kontur_av.streams.staleness import Staleness
     from kontur_av.streams.udp import UdpReceiver, UdpSender
     from kontur_av.streams.video_receiver import VideoReceiver
@@ -36,6 +37,7 @@ __all__ = [
     "VoicePlayer",
     "VoiceReceiver",
     "VoiceSender",
+    "send",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

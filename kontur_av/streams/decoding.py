@@ -29,6 +29,7 @@ class PictureDecoding:
             bandwidth_bps=stream.bandwidth_bps,
             reduced_size=stream.reduced_size,
             capture_time_id=stream.capture_time_id,
+            picture_id=stream.picture_id,
             most_reorder_ns=MOST_REORDER_NS,
         )
         self.decoder = VideoDecoder(stream.codec, reordered=True)

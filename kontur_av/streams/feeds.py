@@ -1,7 +1,11 @@
 """What feeds a stream: a source with its encoder and the sender of its packets."""
 
 import secrets
-from typing import Literal
+import socket
+from dataclasses import replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, coded_rate_for
@@ -10,6 +14,7 @@ from kontur_av.codecs.encoder_settings import Search
 from kontur_av.codecs.h26x import encoder_of, settings_of
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusEncoder
 from kontur_av.codecs.region import Focus
+from kontur_av.errors import refused
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
     AUDIO_PAYLOAD_TYPE,
@@ -19,10 +24,8 @@ from kontur_av.media import (
     VideoFrame,
     empty_picture,
 )
-from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
-from kontur_av.rtp.sdp import StreamDescription, profile_level_id, session_bandwidth_bps
+from kontur_av.rtp.sdp import StreamDescription, profile_level_id, session_bandwidth_bps, write_sdp
 from kontur_av.rtp.sender import RtpIdentity
 from kontur_av.sources.source import AudioSource, VideoSource
 from kontur_av.streams.encoding_thread import EncodingThread
@@ -30,17 +33,11 @@ from kontur_av.streams.video_sender import VideoSender
 from kontur_av.streams.voice_sender import VoiceSender
 from kontur_av.topics.notifier import WaitSet
 
-#: Of the header extension that tells captures.
-_CAPTURE_TIME_ID = 1
-
-
-def _parameter_sets(encoder: VideoEncoder) -> tuple[bytes, ...]:
-    """The parameter sets of `encoder`. Do not use it afterwards: it has begun its stream."""
-    grey = empty_picture(encoder.width, encoder.height)
-    grey.fill(128)
-    units = split_annex_b(encoder.encode(VideoFrame(grey, CaptureStamp(0, 0, "twin"))).data)
-    form = NAL_FORMATS[encoder.codec]
-    return tuple(unit for unit in units if form.nal_type(unit) in form.sets)
+#: What a stream carries.
+StreamCodec = Literal["h264", "h265", "opus"]
+STREAM_CODECS: tuple[StreamCodec, ...] = get_args(StreamCodec)
+#: Of the header extensions that tell captures, and numbers and sizes of pictures.
+_CAPTURE_TIME_ID, _PICTURE_ID = 1, 2
 
 
 class PictureFeed:
@@ -50,7 +47,6 @@ class PictureFeed:
     """
 
     kind: Literal["video", "audio"] = "video"
-    payload_type = VIDEO_PAYLOAD_TYPE
     #: The sender's events stamp the sound of a packet this much earlier than its block.
     lookahead_ns = 0
 
@@ -99,18 +95,16 @@ class PictureFeed:
             cname=_cname(),
             wall_offset_ns=clock.wall_offset_ns,
             capture_time_id=_CAPTURE_TIME_ID,
+            picture_id=_PICTURE_ID,
+            size=size,
             adapt_refresh=refresh_s is None,
         )
-        # The SDP must exist before the first packet. A second encoder of the same settings has the
-        # same parameter sets, and the real one still begins with the first real picture. A third
-        # shows the level that pictures may grow to.
-        self.parameter_sets = _parameter_sets(make(coded_size))
         self.codec: VideoCodec = codec
-        self.profile_level_id = ""
-        if codec == "h264":
-            self.profile_level_id = profile_level_id(_parameter_sets(make(encoder.largest_size)))
+        self._make = partial(make, coded_size), partial(make, encoder.largest_size)
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
+        #: Of header extensions: one for each picture, and a longer one each second.
+        self.extension_bps = 8 * 12 * (fps + 1)
         self._clock = clock
         #: What the source writes to, and the newest whole picture.
         self._coming, self._newest = empty_picture(width, height), empty_picture(width, height)
@@ -118,6 +112,20 @@ class PictureFeed:
         self.source = source
         self._encoding = EncodingThread(encoder, clock)
         self._wait_set = WaitSet([], [self._encoding.fileno()])
+
+    # The SDP must exist before the first packet. A second encoder of the same settings has the same
+    # parameter sets, and the real one still begins with the first real picture.
+    @cached_property
+    def parameter_sets(self) -> tuple[bytes, ...]:
+        """The parameter sets of the stream."""
+        return self._make[0]().parameter_sets()
+
+    @cached_property
+    def profile_level_id(self) -> str:
+        """As of `StreamDescription`, of the largest pictures that may come."""
+        if self.codec != "h264":
+            return ""
+        return profile_level_id(self._make[1]().parameter_sets())
 
     def step(self, timeout_ns: int) -> None:
         """Take a picture or an access unit; return within `timeout_ns`, or as soon as there is
@@ -153,12 +161,11 @@ class SoundFeed:
     """Sound from its source to the sender."""
 
     kind: Literal["video", "audio"] = "audio"
-    payload_type = AUDIO_PAYLOAD_TYPE
     lookahead_ns = LOOKAHEAD_SAMPLES * NS_PER_S // AUDIO_CLOCK_HZ
     parameter_sets: tuple[bytes, ...] = ()
     profile_level_id = ""
     codec: VideoCodec = "h264"
-    packets_per_s = 50.0
+    packets_per_s, extension_bps = 50.0, 8 * 16
 
     def __init__(
         self,
@@ -198,18 +205,41 @@ class SoundFeed:
 
 def describe(feed: PictureFeed | SoundFeed, host: str, port: int) -> StreamDescription:
     """Return what receivers at `host` must know of the stream."""
-    return StreamDescription(
-        kind=feed.kind,
+    bandwidth_bps = session_bandwidth_bps(feed.sender.cap_bps, feed.packets_per_s, host)
+    return replace(
+        undescribed(port, feed.codec if feed.kind == "video" else "opus"),
         host=host,
-        port=port,
-        payload_type=feed.payload_type,
-        bandwidth_bps=session_bandwidth_bps(feed.sender.cap_bps, feed.packets_per_s, host),
-        codec=feed.codec,
+        bandwidth_bps=bandwidth_bps + feed.extension_bps,
         parameter_sets=feed.parameter_sets,
         profile_level_id=feed.profile_level_id,
-        feedback=True,
         reduced_size=True,
+    )
+
+
+def write_description(feed: PictureFeed | SoundFeed, to: tuple[str, int], path: str | Path) -> None:
+    """Write an SDP for receivers at an IP address and port. ConfigError if it cannot be."""
+    with refused(f"sdp {str(path)!r} cannot be written", OSError, TypeError):
+        Path(path).write_text(write_sdp(describe(feed, *to)), encoding="utf-8")
+
+
+def undescribed(
+    port: int, codec: StreamCodec, payload_type: int | None = None
+) -> StreamDescription:
+    """Return what a receiver may suppose of a stream that no SDP describes: ours, or another.
+
+    payload_type: None: that of our senders.
+    """
+    sound = codec == "opus"
+    usual = AUDIO_PAYLOAD_TYPE if sound else VIDEO_PAYLOAD_TYPE
+    return StreamDescription(
+        kind="audio" if sound else "video",
+        host="::" if socket.has_dualstack_ipv6() else "0.0.0.0",
+        port=port,
+        payload_type=usual if payload_type is None else payload_type,
+        codec="h264" if codec == "opus" else codec,
+        feedback=True,
         capture_time_id=_CAPTURE_TIME_ID,
+        picture_id=None if sound else _PICTURE_ID,
     )
 
 

@@ -2,9 +2,13 @@
 
 from typing import Any
 
+from kontur_av.modular import serial_difference
 from kontur_av.rtp.feedback import ReceptionReporter
 from kontur_av.rtp.receiver import RtpReceiver
 from kontur_av.rtp.rtcp import RtcpReceiverInfo
+
+#: The timestamps from its first one on that are taken for those of a new source.
+_BEGINNING = 1 << 28
 
 
 class ReportingReceiver:
@@ -18,6 +22,14 @@ class ReportingReceiver:
     def ended(self) -> bool:
         """Whether the sender has said goodbye."""
         return self._receiver.ended
+
+    def take_restart(self, timestamp: int) -> bool:
+        """Return, once, whether this picture or sound is the first of a sender that began anew."""
+        at = self._receiver.restarted_at
+        if at is None or not 0 <= serial_difference(timestamp - at) < _BEGINNING:
+            return False
+        self._receiver.restarted_at = None
+        return True
 
     @property
     def other_payload_type(self) -> int | None:

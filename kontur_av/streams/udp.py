@@ -156,6 +156,9 @@ def _bound(host: str, port: int, sources: Sequence[str]) -> socket.socket:
         udp.setblocking(False)
         if address.is_multicast:
             udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if host == "::":
+            # IPv4, too, whatever the system's default is.
+            udp.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)
         # Another address in the SDP need not be one of this machine. A group of IPv6 may need an
         # interface, which the SDP does not name.
         alone = address.is_loopback or (address.is_multicast and address.version == 4)

@@ -1,21 +1,26 @@
 """The receiver of a video stream: access units to decode, stamps of pictures, and feedback."""
 
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from struct import pack
+from typing import Any
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.codecs.healing import Healing
+from kontur_av.errors import ProtocolError
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality, VideoCodec
 from kontur_av.metrics import Flat, Newest
 from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
+from kontur_av.rtp.header_extensions import elements_of, read_picture
 from kontur_av.rtp.nal_depacketizer import NalDepacketizer, ReceivedUnit
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 from kontur_av.rtp.receiver import ReceiverCounts, RtpReceiver
 from kontur_av.rtp.reports import AVPF_LEAST_NS
 from kontur_av.streams.reporting_receiver import ReportingReceiver
 
-#: The most damaged units that are remembered while they are decoded.
+#: The most units whose damage or numbers are remembered while they are decoded.
 _REMEMBERED = 256
 #: After a pause as long as a loss of signal a key picture is on its way, since a new contact begins
 #: with one. Damaged pictures before it are not shown, for a time.
@@ -64,7 +69,7 @@ class VideoReceiver(ReportingReceiver):
         show the sender that it may refresh slowly. None: none are sent, to save their octets.
     bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     reduced_size: the sender takes a PLI without a report before it (RFC 5506).
-    capture_time_id: see `RtpReceiver`.
+    capture_time_id: see `RtpReceiver`. picture_id: of the header extension PICTURE, or None.
     payload_type: of the stream. marked: see `NalDepacketizer`.
     reorder_depth_ns: see `RtpReceiver`. Longer than a round trip where lost packets are sent again.
     most_reorder_ns: see `RtpReceiver`.
@@ -83,6 +88,7 @@ class VideoReceiver(ReportingReceiver):
         bandwidth_bps: int | None = None,
         reduced_size: bool = False,
         capture_time_id: int | None = None,
+        picture_id: int | None = None,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
         marked: bool = False,
         reorder_depth_ns: int = REORDER_DEPTH_NS,
@@ -103,6 +109,8 @@ class VideoReceiver(ReportingReceiver):
         self._name, self._codec = name, codec
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = NalDepacketizer(NAL_FORMATS[codec], parameter_sets, marked=marked)
+        self._picture_id = picture_id
+        self._told: OrderedDict[bytes, tuple[int, int, int]] = OrderedDict()
         self._healing = Healing()
         #: Timestamps of units in the decoder that will show damage, and whether to withhold them.
         self._corrupted: OrderedDict[int, bool] = OrderedDict()
@@ -117,6 +125,21 @@ class VideoReceiver(ReportingReceiver):
         self.shows_damage = False
         self._shown = self._undated = self._oversized = self._withheld = 0
         self._without_references = 0
+
+    def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
+        """As of every stream; a picture's number and size may stand in it."""
+        with suppress(ProtocolError):
+            told = read_picture(elements_of(datagram).get(self._picture_id or 0, b""))
+            if told is not None:
+                # By RTP timestamp and SSRC: sources that may follow have theirs, too.
+                self._told[datagram[4:12]] = told
+                if len(self._told) > _REMEMBERED:
+                    self._told.popitem(last=False)
+        super().handle_packet(datagram, now_ns, source)
+
+    def told(self, timestamp: int) -> tuple[int, int, int] | None:
+        """Return number, width and height of a picture as its sender told them, or None."""
+        return self._told.get(pack("!LL", timestamp, self._receiver.ssrc or 0))
 
     def handle_timeout(self, now_ns: int) -> None:
         """Give up packets that are overdue at `now_ns`. Drain `next_event` afterwards."""

@@ -70,7 +70,8 @@ class VideoSender(PacedSender):
     wall_offset_ns: Unix time minus the caller's time; sender reports tell Unix time.
     adapt_refresh: refresh slowly while the receiver can ask for a key picture. The encoder must be
         made with `REFRESH_S`. False: the encoder keeps its own refresh.
-    max_payload_octets, payload_type, report_interval_ns, capture_time_id: see `RtpSender`.
+    max_payload_octets, payload_type, report_interval_ns, capture_time_id, picture_id, size: see
+        `RtpSender`.
 
     Raises ConfigError for a cap or channel that cannot work.
     """
@@ -90,6 +91,8 @@ class VideoSender(PacedSender):
         payload_type: int = VIDEO_PAYLOAD_TYPE,
         report_interval_ns: int = NS_PER_S,
         capture_time_id: int | None = None,
+        picture_id: int | None = None,
+        size: tuple[int, int] = (0, 0),
     ) -> None:
         pacer = Pacer(cap_bps=cap_bps, channel_bps=channel_bps, picture_ns=int(NS_PER_S // fps))
         rtp = RtpSender(
@@ -105,6 +108,8 @@ class VideoSender(PacedSender):
             max_payload_octets=min(max_payload_octets, pacer.max_payload_octets),
             wall_offset_ns=wall_offset_ns,
             capture_time_id=capture_time_id,
+            picture_id=picture_id,
+            size=size,
         )
         super().__init__(pacer, rtp)
         self._max_payload_octets = rtp.max_payload_octets

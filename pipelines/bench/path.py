@@ -4,9 +4,10 @@ import argparse
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
+from kontur_av.hosts import parse_address
 from pipelines.link.relay import PathRelay
 from pipelines.session.command_process import say, stopped_by_signals
-from pipelines.session.datagrams import LOOPBACK, parse_address
+from pipelines.session.datagrams import LOOPBACK
 from pipelines.session.option_rows import add_options
 from telepresence.link.link_metrics import address_text
 from telepresence.link.radio.network import NetworkPath

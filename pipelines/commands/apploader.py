@@ -3,8 +3,9 @@
 import argparse
 
 from kontur_av.errors import ConfigError, refused
+from kontur_av.hosts import parse_address
 from pipelines.session.command_process import say, stopped_by_signals
-from pipelines.session.datagrams import LOOPBACK, parse_address
+from pipelines.session.datagrams import LOOPBACK
 from pipelines.session.option_rows import add_actions
 from pipelines.upkeep.loader_keeper import LoaderKeeper, check_ftp_url, list_lines, serve_ftp
 from pipelines.upkeep.requests import DiskStore

@@ -10,11 +10,12 @@ from msgspec.structs import replace
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError, refused
 from kontur_av.media import parse_size
+from kontur_av.report import latency_ms
 from kontur_av.rtp.sdp import StreamDescription, parse_sdp
 from kontur_av.streams.loudspeaker import Loudspeaker
 from kontur_av.streams.udp import UdpReceiver
 from pipelines.commands.common import check_options
-from pipelines.media.rtp_reports import PlayedReport, SavedReport, latency_ms
+from pipelines.media.rtp_reports import PlayedReport, SavedReport
 from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures

@@ -12,11 +12,11 @@ from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.errors import ConfigError
 from kontur_av.media import VIDEO_CLOCK_HZ, AccessUnit, CaptureStamp, parse_size
 from kontur_av.meters import Histogram
+from kontur_av.report import latency_ms
 from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.receiver import RtpReceived
 from kontur_av.streams.voice_receiver import VoicePlayer
 from pipelines.commands.rtc_options import ice_servers_of, token_of
-from pipelines.media.rtp_reports import latency_ms
 from pipelines.media.sending import check_alone, open_pictures, open_sound
 from pipelines.partner.coded_sources import CodedSources
 from pipelines.partner.decisions import LEAST_BPS

@@ -1,19 +1,19 @@
 """`kontur-av send`: one stream from a source to plain RTP over UDP, under a hard cap."""
 
 import argparse
-from contextlib import closing
+
+from msgspec.structs import replace
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.encoder_settings import SEARCHES
-from kontur_av.media import VIDEO_CODECS
-from kontur_av.rtp.sdp import write_sdp
-from kontur_av.streams.feeds import describe
-from kontur_av.streams.udp import UdpSender
+from kontur_av.hosts import parse_address
+from kontur_av.media import VIDEO_CODECS, parse_size
+from kontur_av.streams.sending import send
 from pipelines.commands.common import check_options
-from pipelines.media.sending import SendShell, open_feed
-from pipelines.report.report_file import check_writable, end_with, write_text
-from pipelines.session.datagrams import check_reachable, parse_address
+from pipelines.media.sending import open_pictures, open_sound
+from pipelines.report.report_file import check_writable, end_with
+from pipelines.session.command_process import reader_gone, say, stopped_by_signals
 from pipelines.session.option_rows import add_options
 
 
@@ -50,15 +50,30 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError, with nothing sent, for what cannot work.
     """
     check_options(args, "cap_kbps", "channel_kbps")
-    address = parse_address(args.to)
-    clock = MonotonicClock()
-    with closing(open_feed(args, clock)) as feed:
-        stream = describe(feed, *address)
-        if args.sdp:
-            check_writable(args.sdp, "--sdp")
-            write_text(args.sdp, write_sdp(stream))
-        check_writable(args.report)
-        check_reachable(address)
-        with closing(UdpSender(*address)) as udp:
-            report = SendShell(feed, udp, clock).run(args.seconds)
-    return end_with(args.report, report, report.failed)
+    parse_address(args.to)
+    check_writable(args.report)
+    if args.sdp:
+        check_writable(args.sdp, "--sdp")
+    auto = args.coded_size == "auto"
+    sound, clock = args.video is None, MonotonicClock()
+    with stopped_by_signals() as stopped:
+        report = send(
+            open_sound(args, clock) if sound else open_pictures(args, clock),
+            args.to,
+            cap_bps=round(args.cap_kbps * 1000),
+            sound=sound,
+            size=parse_size(args.size),
+            fps=args.fps,
+            codec=args.codec,
+            channel_bps=None if args.channel_kbps is None else round(args.channel_kbps * 1000),
+            coded_size=None if auto else parse_size(args.coded_size, "--coded-size"),
+            refresh_s=args.refresh_s,
+            search=args.search,
+            sdp=args.sdp,
+            seconds=args.seconds,
+            stopped=lambda: stopped() or reader_gone(),
+            say=say,
+        )
+    # Who reads no more has not waited for the first picture.
+    failed = report.failed if report.sender.frames_sent or not reader_gone() else []
+    return end_with(args.report, replace(report, failed=failed), failed)

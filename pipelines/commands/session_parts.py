@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 
 from kontur_av.errors import ConfigError
+from kontur_av.hosts import split_address
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
 from pipelines.link.own_ends import PeerPlan, chosen_end
 from pipelines.mission.mission import TaskOptions
-from pipelines.session.datagrams import split_address
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
 from pipelines.session.setup.segments import Segment

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from errno import EINPROGRESS
 
 from kontur_av.errors import ConfigError
-from pipelines.session.datagrams import LOOPBACK, Address, bound_socket, resolve
-from pipelines.session.option_rows import LAST_PORT
+from kontur_av.hosts import LAST_PORT, resolve
+from pipelines.session.datagrams import LOOPBACK, Address, bound_socket
 from pipelines.session.options import StreamOptions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.topics import FILES

@@ -13,19 +13,16 @@ from typing import TYPE_CHECKING
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
+from kontur_av.hosts import host_port, parse_address, resolve, split_address
 from pipelines.session.datagrams import (
     LOOPBACK,
     Address,
     EndAddresses,
     family_of,
-    host_port,
     is_loopback,
     listen,
     obstacle,
-    parse_address,
     reaches,
-    resolve,
-    split_address,
 )
 from pipelines.session.launcher import hold_port
 from pipelines.session.option_rows import refuse_options

@@ -6,7 +6,8 @@ from contextlib import suppress
 from socket import AF_INET6
 
 from kontur_av.clock import NS_PER_S
-from pipelines.session.datagrams import LOOPBACK, Address, family_of, host_port, listen
+from kontur_av.hosts import host_port
+from pipelines.session.datagrams import LOOPBACK, Address, family_of, listen
 from telepresence.link.radio.network import NetworkPath
 
 _MOST_OCTETS = 2048

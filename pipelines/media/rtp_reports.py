@@ -1,68 +1,10 @@
-"""The reports of `kontur-av send` and `kontur-av receive`."""
+"""The report of `kontur-av receive`."""
 
 from kontur_av.codecs.decoder import DecoderCounts
-from kontur_av.meters import Histogram
 from kontur_av.metrics import Flat
-from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.report import Latency, Report
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.session.session_metrics import Report
-
-
-class Latency(Report, frozen=True, kw_only=True):
-    """Percentiles of a latency by nearest rank in a histogram."""
-
-    p50: float
-    p95: float
-    p99: float
-    max: float
-
-
-def latency_ms(histogram: Histogram) -> Latency:
-    """The latencies of a histogram of values in ns, in ms."""
-    return Latency(**histogram.summary_ms())
-
-
-class SentStages(Report, frozen=True, kw_only=True):
-    """Latencies since the capture; of sound, without the codec's look-ahead."""
-
-    capture_to_encoded: Latency
-    capture_to_sent: Latency
-
-
-class SentLatency(Report, frozen=True, kw_only=True):
-    """The latencies of `send`."""
-
-    stages: SentStages
-
-
-class SourceReport(Report, frozen=True, kw_only=True):
-    """The faults of the source; `last_fault` is empty if there was none."""
-
-    faults: int
-    last_fault: str
-
-
-class SendReport(Report, frozen=True, kw_only=True):
-    """The report of `send`; `failed` says what went wrong."""
-
-    stream: str
-    seconds: float
-    cap_bps: int
-    payload_bps_mean: float
-    payload_bps_max_1s: float
-    payload_bps_max_100ms: float
-    sender: Flat[SenderCounts]
-    rtp_payload_octets: int
-    send_errors: int
-    latency_ms: SentLatency
-    source: SourceReport
-    cpu_s: float
-    size: tuple[int, int] | None = None
-    coded_size: tuple[int, int] | None = None
-    #: The library that codes the pictures, in words.
-    encoder: str | None = None
-    failed: list[str]
 
 
 class ReceivedStages(Report, frozen=True, kw_only=True):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, ProtocolError
+from kontur_av.hosts import resolve
 from kontur_av.topics.bus import Reader
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
@@ -28,15 +29,7 @@ from pipelines.packets.bridge import (
     allowed_commands,
 )
 from pipelines.session.command_process import say
-from pipelines.session.datagrams import (
-    LOOPBACK,
-    Address,
-    Outlet,
-    bound_socket,
-    is_loopback,
-    outlet,
-    resolve,
-)
+from pipelines.session.datagrams import LOOPBACK, Address, Outlet, bound_socket, is_loopback, outlet
 from pipelines.session.options import StreamOptions
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.session_metrics import SampleNumbers

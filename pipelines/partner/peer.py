@@ -12,7 +12,7 @@ from dataclasses import replace
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AccessUnit, CaptureStamp
-from pipelines.media.rtp_reports import Latency
+from kontur_av.report import Latency
 from pipelines.partner.description import (
     Kind,
     MediaLine,

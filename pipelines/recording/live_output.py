@@ -19,11 +19,11 @@ import av
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
+from kontur_av.hosts import resolve
 from kontur_av.media import VideoCodec
 from pipelines.media.rtp_reports import ForwardedReport
 from pipelines.recording.matroska import CodedContainer, Remuxer, begins_stream
 from pipelines.session.command_process import say
-from pipelines.session.datagrams import resolve
 from pipelines.session.session_metrics import gathered
 
 #: Without delays in the muxer: a picture's length is told, so that no player waits for the next.

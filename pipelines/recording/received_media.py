@@ -11,6 +11,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram, RateMeter
 from kontur_av.modular import serial_difference
+from kontur_av.report import latency_ms
 from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.arrivals import MOST_REORDER_NS
 from kontur_av.rtp.nal_formats import NAL_FORMATS
@@ -21,13 +22,7 @@ from kontur_av.rtp.wire import TimestampUnwrapper
 from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
 from kontur_av.streams.loudspeaker import Loudspeaker
 from kontur_av.streams.udp import UdpReceiver
-from pipelines.media.rtp_reports import (
-    OutputReport,
-    ReceivedLatency,
-    ReceivedStages,
-    ReceiveReport,
-    latency_ms,
-)
+from pipelines.media.rtp_reports import OutputReport, ReceivedLatency, ReceivedStages, ReceiveReport
 from pipelines.recording.live_output import LiveWriter
 from pipelines.recording.matroska import MatroskaWriter
 from pipelines.recording.raw_pictures import RawPictures

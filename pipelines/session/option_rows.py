@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kontur_av.errors import ConfigError
-
-#: Of TCP and UDP.
-LAST_PORT = 65_535
+from kontur_av.hosts import LAST_PORT
 
 
 def port(text: str) -> int:

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from kontur_av.errors import ConfigError, refused
+from kontur_av.hosts import LAST_PORT
 from pipelines.session.access import PEOPLE, Role
 from pipelines.session.datagrams import reaches
-from pipelines.session.option_rows import LAST_PORT
 
 if TYPE_CHECKING:
     from cryptography import x509

@@ -13,10 +13,10 @@ from pathlib import Path
 from socket import socket
 
 from kontur_av.errors import ConfigError
+from kontur_av.hosts import resolve
 from kontur_av.topics.session_files import session_root
 from pipelines.session.access import Role
 from pipelines.session.command_process import say
-from pipelines.session.datagrams import resolve
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import PAGE_PORT, StreamOptions
 from pipelines.session.page_sockets import (

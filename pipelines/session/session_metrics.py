@@ -13,6 +13,8 @@ from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import msgspec
 
+from kontur_av.report import Report as Report
+
 T = TypeVar("T")
 
 
@@ -127,10 +129,6 @@ def gathered(kind: type[T], /, *sources: object, **given: Any) -> T:
     names: Iterable[str] = getattr(kind, "__struct_fields__", None) or kind.__dataclass_fields__  # type: ignore[attr-defined]
     found = {name: getattr(one, name) for one in sources for name in names if hasattr(one, name)}
     return kind(**found | given)
-
-
-class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What all parts of a report have in common."""
 
 
 def nested_values(values: object, name: str = "") -> Iterator[tuple[str, Any]]:

@@ -37,6 +37,8 @@ def packets(payload_type, *, picture):
         clock_rate_hz=90_000 if picture else 48_000,
         max_payload_octets=200,
         capture_time_id=3,
+        picture_id=4,
+        size=(640, 480),
     )
     made = []
     for number in range(4):
@@ -94,7 +96,9 @@ class Parsing(Taking):
 
 
 def video():
-    return Receiving(VideoReceiver(ssrc=9, capture_time_id=3), packets(96, picture=True))
+    return Receiving(
+        VideoReceiver(ssrc=9, capture_time_id=3, picture_id=4), packets(96, picture=True)
+    )
 
 
 def voice():

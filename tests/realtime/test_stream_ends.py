@@ -4,12 +4,14 @@ import asyncio
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from common import free_port
 
 import kontur_av as av
+from kontur_av.clock import NS_PER_MS
 from kontur_av.media import Quality
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
@@ -37,7 +39,7 @@ def test_a_slow_reader_gets_the_newest_picture_and_the_end(tmp_path):
     assert len(seen) == 1 and pictures.skipped > 0
     assert abs(int(seen[0].data.mean()) - 29) <= 8
     assert seen[0].age_ms > 400
-    assert "goodbye" in pictures.ended
+    assert pictures.ended == "goodbye"
 
 
 @pytest.mark.parametrize("kind", ["pictures", "sound"])
@@ -62,8 +64,52 @@ def test_what_no_report_dates_comes_without_an_age(tmp_path, kind):
                     break
                 end.send(item)
             first = first.result()
-    assert first.age_ms is None and first.quality is Quality.FRESH
+    assert first.age_ms is first.capture_ns is None and first.quality is Quality.FRESH
     assert first.data.shape == item.shape and first.data.dtype == item.dtype
+
+
+@pytest.mark.parametrize("to", ["localhost", "[::1]"])
+def test_size_number_and_capture_travel_and_a_restart_is_told(to):
+    port, captured = free_port(), ({}, {})
+    ends = [av.PictureSender(f"{to}:{port}", cap_bps=60_000, format="grey") for _ in captured]
+    with av.StreamReceiver(port=port) as pictures, ThreadPoolExecutor() as pool:
+        reading = pool.submit(list, pictures)
+        for run, end in zip(captured, ends, strict=True):
+            for number in range(30):
+                run[number] = time.monotonic_ns()
+                end.send(np.full((482, 640), 90 + number, np.uint8), capture_ns=run[number])
+            end.close()
+        seen = reading.result()
+    assert pictures.ended == "goodbye" and {one.data.shape for one in seen} == {(482, 640, 3)}
+    begun = [number for number, one in enumerate(seen) if one.restarted]
+    assert len(begun) == 1
+    for run, part in zip(captured, (seen[: begun[0]], seen[begun[0] :]), strict=True):
+        numbers = [one.sequence for one in part]
+        assert numbers and numbers == sorted(set(numbers))
+        assert all(abs(one.capture_ns - run[one.sequence]) < NS_PER_MS for one in part)
+        assert all(one.age_ms >= 0 and not one.damaged for one in part)
+    data, age_ms, quality = seen[0]
+    assert (data is seen[0].data, age_ms, quality) == (True, seen[0].age_ms, Quality.FRESH)
+
+
+def test_a_source_is_sent_until_it_is_told_to_stop():
+    port, seen, said = free_port(), [], []
+    source = Path(__file__).parents[2] / "samples" / "clip.mp4"
+    with av.StreamReceiver(port=port, size=(64, 48)) as pictures, ThreadPoolExecutor() as pool:
+        reading = pool.submit(lambda: seen.extend(pictures))
+        report = av.send(
+            str(source),
+            f"localhost:{port}",
+            cap_bps=np.float64(250e3),
+            size=(320, 242),
+            stopped=lambda: len(seen) > 5 and said,
+            say=said.append,
+        )
+        reading.result()
+    assert {one.data.shape for one in seen} == {(48, 64, 3)} and pictures.ended == "goodbye"
+    assert report.failed == [] and report.size == (320, 242)
+    assert report.sender.frames_sent > 5 and 0 < report.payload_bps_max_1s <= report.cap_bps
+    assert said[0].count("kbit/s") == 1
 
 
 async def test_an_async_reader_is_ended_from_outside(tmp_path):

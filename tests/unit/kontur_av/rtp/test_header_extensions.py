@@ -10,8 +10,10 @@ from kontur_av.rtp.header_extensions import (
     elements_of,
     extended,
     header_octets,
+    picture_element,
     playout_delay_element,
     read_capture_time,
+    read_picture,
     send_time_element,
 )
 from kontur_av.rtp.wire import pack_rtp, parse_rtp
@@ -30,6 +32,13 @@ def test_a_packet_has_the_octets_of_the_rfc():
     assert packet == with_x("bede0002 1030 32000000 0000") + b"media"
     assert parse_rtp(packet).payload == b"media"
     assert extended(PLAIN, ()) == PLAIN
+
+
+def test_a_picture_has_its_number_and_its_size():
+    assert picture_element(0x1_00_0005, 1280, 722) == bytes.fromhex("000005280169")
+    assert read_picture(bytes.fromhex("00ffff800008")) == (0xFFFF, 4096, 16)
+    for wrong in ("", "000005 28", "000005 280 169 00", "000005 801 169", "000005 280 007"):
+        assert read_picture(bytes.fromhex(wrong.replace(" ", ""))) is None
 
 
 def test_elements_have_their_units():

@@ -51,6 +51,7 @@ WRITTEN = {
             feedback=True,
             reduced_size=True,
             capture_time_id=1,
+            picture_id=2,
         ),
         f"""v=0
         o=- 0 0 IN IP4 10.0.0.1
@@ -64,6 +65,7 @@ WRITTEN = {
         a=rtcp-fb:96 nack pli
         a=rtcp-rsize
         a=extmap:1 {CAPTURE_TIME}
+        a=extmap:2 urn:x-kontur-av:picture
         a=recvonly""",
     ),
     "HEVC": (

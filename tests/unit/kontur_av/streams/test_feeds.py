@@ -65,6 +65,10 @@ def test_pictures_come_out_as_they_went_in(codec, monkeypatch):
             decoding.receiver.handle_timeout(clock.now_ns() + 39 * NS_PER_MS)
             for unit, shown in decoding.units():
                 assert unit.codec == codec
+                # The very first picture has its date, number (from 1 here) and size.
+                since_ns = decoding.receiver.capture_ns(unit.timestamp) - 5 * NS_PER_S
+                told = round(since_ns / PERIOD_NS) + 1, *SIZE
+                assert decoding.receiver.told(unit.timestamp) == told
                 seen += [
                     (p.to_i420()[: SIZE[1]].mean(), stamp, p.width, p.height) for p, stamp in shown
                 ]
@@ -91,10 +95,12 @@ def test_a_stream_of_pictures_is_described_before_its_first_packet():
         stream = describe(feed, "::1", 5004)
         about = stream.kind, stream.host, stream.port, stream.payload_type
         assert about == ("video", "::1", 5004, 96)
-        # A packet for each picture, and one more for each 1200 octets; IPv6, UDP and RTP: 60.
-        assert stream.bandwidth_bps == 300_000 + round((25 + 300_000 / 8 / 1200) * 60 * 8)
+        # A packet for each picture, and one more for each 1200 octets; IPv6, UDP and RTP: 60. An
+        # extension of 12 octets for each picture, and one of 24 each second.
+        headers = (25 + 300_000 / 8 / 1200) * 60 + 26 * 12
+        assert stream.bandwidth_bps == 300_000 + round(headers * 8)
         assert [unit[0] & 31 for unit in stream.parameter_sets] == [7, 8]
-        assert stream.profile_level_id and stream.capture_time_id == 1
+        assert stream.profile_level_id and (stream.capture_time_id, stream.picture_id) == (1, 2)
         assert stream.feedback and stream.reduced_size
         assert feed.sender.cap_bps == feed.sender.channel_bps == 300_000
         assert source.number == 0 and feed.lookahead_ns == 0
@@ -125,7 +131,7 @@ def test_sound_comes_out_as_it_went_in():
     source = Tone(clock)
     feed = SoundFeed(source, clock, cap_bps=64_000, channel_bps=128_000)
     stream = parse_sdp(write_sdp(describe(feed, "127.0.0.1", 5004)))
-    assert (stream.kind, stream.bandwidth_bps) == ("audio", 64_000 + 50 * 40 * 8)
+    assert (stream.kind, stream.bandwidth_bps) == ("audio", 64_000 + 50 * 40 * 8 + 1000)
     assert (feed.sender.cap_bps, feed.sender.channel_bps) == (64_000, 128_000)
     assert feed.lookahead_ns == LOOKAHEAD_SAMPLES * NS_PER_S // 48_000
     decoding = SoundDecoding(stream, clock)

@@ -1,11 +1,8 @@
-"""How a single stream is coded, as the options of `kontur-av send` say."""
+"""How a stream is coded, as the options of `kontur-av send` say."""
 
-import pytest
-
-from kontur_av.clock import ManualClock
 from kontur_av.errors import ConfigError
-from pipelines.cli import make_parser
-from pipelines.media import sending
+from kontur_av.streams import sending
+from pipelines.cli import main
 
 WORDS = (
     *("send", "--video", "scene:static", "--to", "127.0.0.1:9"),
@@ -13,20 +10,22 @@ WORDS = (
 )
 
 
-def feed(*words):
-    return sending.open_feed(make_parser().parse_args([*WORDS, *words]), ManualClock(0))
-
-
-def test_refresh_and_search_reach_the_encoder_or_are_refused(monkeypatch):
+def test_refresh_and_search_reach_the_encoder_or_are_refused(monkeypatch, capsys):
     given = {}
-    monkeypatch.setattr(sending, "PictureFeed", lambda *_, **options: given.update(options))
+
+    def end(*_, **options):
+        given.update(options)
+        raise ConfigError("enough")
+
+    monkeypatch.setattr(sending, "PictureFeed", end)
     for words, told in (
-        ((), {"refresh_s": None, "search": "thorough"}),
+        ((), {"refresh_s": None, "search": "thorough", "coded_size": None, "cap_bps": 100_000}),
         (("--refresh-s", "0.5"), {"refresh_s": 0.5}),
         (("--search", "quick"), {"search": "quick"}),
     ):
-        feed(*words)
+        assert main([*WORDS, *words]) == 2
+        assert "enough" in capsys.readouterr().err
         assert told.items() <= given.items()
     for seconds in ("0.05", "601"):
-        with pytest.raises(ConfigError, match="--refresh-s"):
-            feed("--refresh-s", seconds)
+        assert main([*WORDS, "--refresh-s", seconds]) == 2
+        assert "refresh_s" in capsys.readouterr().err
