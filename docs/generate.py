@@ -40,6 +40,66 @@ HEAD = """# The Python interface
 
 <!-- Written by docs/generate.py from the docstrings: change those, not this page. -->
 
+## Recipes
+
+```python
+import time, kontur_av as ka
+```
+
+Send pictures by RTP, under a hard cap. Other forms: `format="bgr"`, `"grey"`, `"i420"`.
+
+```python
+with ka.PictureSender("localhost:5004", cap_bps=250_000) as end:
+    for picture in pictures:  # RGB, uint8, shape (height, width, 3)
+        end.send(picture)
+```
+
+Receive them at the other end, in the size that was sent.
+
+```python
+with ka.StreamReceiver(port=5004) as stream:
+    for picture in stream:
+        show(picture.data, picture.age_ms)
+print(stream.ended)
+```
+
+Send a camera, a file or a scene: what `kontur-av send` does, and returns its report.
+
+```python
+report = ka.send("scene:static", "localhost:5004", cap_bps=250_000, seconds=2)
+print(report.sender.units_sent, report.payload_bps_max_1s)
+```
+
+Encode and decode, with a transport of your own.
+
+```python
+encoder, decoder = ka.H264Encoder(width=640, height=480, fps=30, cap_bps=250_000), ka.H264Decoder()
+for number, picture in enumerate(pictures):
+    unit = encoder.encode(picture)  # unit.data: Annex B, of the size encoder.unit_size
+    for decoded in decoder.decode(unit.data, number):
+        show(decoded.to_rgb())
+```
+
+Share octets, pictures or sound with other processes of this machine.
+
+```python
+with ka.TopicBus("my-cell") as bus:
+    reader, writer = bus.reader("camera"), bus.writer("camera", max_octets=1 << 20)
+    writer.publish_octets(b"hello", ka.CaptureStamp(time.monotonic_ns(), 0, "me"))
+    if reader.wait(1_000_000_000):
+        print(reader.latest_octets())
+```
+
+Send voice. `ka.StreamReceiver(port=5006, codec="opus")` receives it.
+
+```python
+with ka.SoundSender("localhost:5006", cap_bps=64_000) as end:
+    for block in blocks:  # 20 ms: int16, shape (960,), mono, 48 kHz
+        end.send(block)
+```
+
+## Reference
+
 Import these names from the modules that stand above them. All else is the project's own and may
 change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`. `samples/` has
 short scripts that use these names.

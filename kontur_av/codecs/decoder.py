@@ -6,8 +6,10 @@ from fractions import Fraction
 from typing import Any
 
 import av
+import numpy as np
 from av.codec.context import Flags
 from av.video.codeccontext import VideoCodecContext
+from numpy.typing import NDArray
 
 from kontur_av.codecs.colours import Scaler, as_i420, like_i420, plane_pixels
 from kontur_av.codecs.decoder_guard import MOST_PICTURE_OCTETS, DecoderGuard
@@ -76,6 +78,12 @@ class DecodedPicture:
         picture = empty_picture(self.width, self.height)
         self.copy_to(picture)
         return picture
+
+    def to_rgb(self) -> NDArray[np.uint8]:
+        """Return a copy as RGB, of shape (height, width, 3)."""
+        from kontur_av.codecs.picture_formats import from_i420
+
+        return from_i420(self.to_i420(), "rgb")
 
 
 @dataclass(slots=True)

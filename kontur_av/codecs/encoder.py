@@ -10,6 +10,7 @@ from fractions import Fraction
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kontur_av.codecs.av_encoder import BLOCK, EncodedPicture, FinerPart
 from kontur_av.codecs.coding import (
@@ -25,6 +26,7 @@ from kontur_av.codecs.sizing import Cuts, SizeChoice
 from kontur_av.errors import ConfigError
 from kontur_av.media import (
     AccessUnit,
+    CaptureStamp,
     VideoCodec,
     VideoFrame,
     check_size,
@@ -147,15 +149,25 @@ class VideoEncoder:
         return tuple(unit for unit in units if form.nal_type(unit) in form.sets)
 
     def encode(
-        self, frame: VideoFrame, coding: Coding = _LIKE_BEFORE, *, region: Region | None = None
+        self,
+        frame: VideoFrame | NDArray[np.uint8],
+        coding: Coding = _LIKE_BEFORE,
+        *,
+        region: Region | None = None,
     ) -> AccessUnit:
         """Return the one access unit of this picture.
 
+        frame: or an RGB picture, uint8, shape (height, width, 3). It has no capture, so the access
+        unit's stamp has its number alone.
         region: the part to code finer, at the cost of the rest. The octets stay the same.
 
         Raises ValueError if `frame` is not uint8 of the encoder's size, or if there is a region and
         the encoder was made without `regions`.
         """
+        if not isinstance(frame, VideoFrame):
+            from kontur_av.codecs.picture_formats import to_i420
+
+            frame = VideoFrame(to_i420(frame, "rgb"), CaptureStamp(0, self.encoded, "numpy"))
         if region is not None and not self._regions:
             raise ValueError("a region, for an encoder that was made without regions")
         if (frame.width, frame.height) != (self.width, self.height):
