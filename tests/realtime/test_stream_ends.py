@@ -102,7 +102,8 @@ def test_a_source_is_sent_until_it_is_told_to_stop():
             f"localhost:{port}",
             cap_bps=np.float64(250e3),
             size=(320, 242),
-            stopped=lambda: len(seen) > 5 and said,
+            # Until the sender has answered what its time is.
+            stopped=lambda: len(seen) > 5 and said and seen[-1].error_ns,
             say=said.append,
             seconds=60,
         )
@@ -110,7 +111,7 @@ def test_a_source_is_sent_until_it_is_told_to_stop():
     assert {one.data.shape for one in seen} == {(48, 64, 3)} and pictures.ended == "goodbye"
     assert report.failed == [] and report.size == (320, 242)
     assert report.sender.frames_sent > 5 and 0 < report.payload_bps_max_1s <= report.cap_bps
-    assert said[0].count("kbit/s") == 1
+    assert said[0].count("kbit/s") == 1 and seen[-1].error_ns is not None
 
 
 async def test_an_async_reader_is_ended_from_outside(tmp_path):
