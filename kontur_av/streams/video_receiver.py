@@ -134,9 +134,10 @@ class VideoReceiver(ReportingReceiver):
 
     def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
         """As of every stream; a picture's number and size may stand in it."""
+        number = self._picture_id
         with suppress(ProtocolError):
-            told = read_picture(elements_of(datagram).get(self._picture_id or 0, b""))
-            if told is not None:
+            told = number and read_picture(elements_of(datagram).get(number, b""))
+            if told:
                 # By RTP timestamp and SSRC: sources that may follow have theirs, too.
                 self._told[datagram[4:12]] = told
                 if len(self._told) > _REMEMBERED:
