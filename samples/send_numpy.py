@@ -1,6 +1,6 @@
 """Send your own numpy pictures as H.264 over RTP, under a hard cap: replace `picture_at`.
 
-python samples/send_numpy.py 127.0.0.1:5004 85 picture.sdp 10        (kbit/s, SDP file, seconds)
+python samples/send_numpy.py localhost:5004 85 picture.sdp 10        (kbit/s, SDP file, seconds)
 """
 
 import sys
@@ -8,7 +8,7 @@ import sys
 import cv2
 import numpy as np
 
-import kontur_av as av
+import kontur_av as ka
 
 
 def picture_at(number: int) -> np.ndarray:  # RGB, shape (480, 640, 3), dtype uint8
@@ -17,7 +17,7 @@ def picture_at(number: int) -> np.ndarray:  # RGB, shape (480, 640, 3), dtype ui
 
 
 to, cap_bps, sdp, seconds = sys.argv[1], 1000 * int(sys.argv[2]), sys.argv[3], int(sys.argv[4])
-with av.PictureSender(to, cap_bps=cap_bps, sdp=sdp) as end:
+with ka.PictureSender(to, cap_bps=cap_bps, sdp=sdp) as end:
     for number in range(30 * seconds):
         end.send(picture_at(number))
 print(f"{end.counts}, {end.largest_bps / 1000:.1f} kbit/s in the largest second")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_S, ntp_from_unix_ns
 from kontur_av.media import BLOCK_SAMPLES, AccessUnit, CaptureStamp
 from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.rtp.clock_offset import answer_packet
 from kontur_av.rtp.header_extensions import (
     capture_time_element,
     extended,
@@ -115,6 +116,8 @@ class RtpSender:
         self._capture_time_id = capture_time_id
         self._picture_id, self._size = picture_id, size
         self._told_ns: int | None = None
+        #: Of `read_receiver_time`; the next report answers it.
+        self.receiver_time: tuple[int, int, int] | None = None
         self._last_stamp: CaptureStamp | None = None
         self._last_timestamp = 0
         #: Blocks of sound since the first one, missing ones included.
@@ -245,4 +248,8 @@ class RtpSender:
             packet_count=self.packets_sent & 0xFFFF_FFFF,
             octet_count=self.payload_octets_sent & 0xFFFF_FFFF,
         )
-        return bytes(RtcpSrPacket(self.ssrc, info)) + cname_packet(self.ssrc, self._cname)
+        report = bytes(RtcpSrPacket(self.ssrc, info)) + cname_packet(self.ssrc, self._cname)
+        if self.receiver_time is not None:
+            report += answer_packet(self.ssrc, self.receiver_time, now_ns)
+            self.receiver_time = None
+        return report

@@ -30,6 +30,7 @@ class PictureDecoding:
             reduced_size=stream.reduced_size,
             capture_time_id=stream.capture_time_id,
             picture_id=stream.picture_id,
+            ask_time=True,
             most_reorder_ns=MOST_REORDER_NS,
         )
         self.decoder = VideoDecoder(stream.codec, reordered=True)

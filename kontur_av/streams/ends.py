@@ -92,11 +92,13 @@ class Received:
 
     data: a picture in the receiver's size and format, uint8, by default RGB of shape
         (height, width, 3); or sound, mono, 48 kHz, shape (n,), int16.
-    age_ms: since its capture, by the wall clocks of both hosts. None until the sender tells when
-        that was: our own does with the first picture, others in a report or never.
+    age_ms: since its capture. None until the sender tells when that was: this package's do with the
+        first picture, others in a report or never.
     capture_ns: the same instant by this host's `time.monotonic_ns()`; of sound, of its begin.
     sequence: the sender's number of the picture, from 0 on and modulo 2**24; missing ones were left
         out or lost. None of sound, and if the sender does not tell it, as others do not.
+    error_ns: the most by which `capture_ns` and age may be off. None until the sender of pictures
+        has answered what its time is (RFC 3611); they rely on both wall clocks until then.
     restarted: the first one of a sender that began anew, such as a program that was started again.
     """
 
@@ -106,6 +108,7 @@ class Received:
     capture_ns: int | None = None
     sequence: int | None = None
     restarted: bool = False
+    error_ns: int | None = None
 
     @property
     def damaged(self) -> bool:
@@ -536,6 +539,7 @@ class StreamReceiver(_AsyncClosing):
         def put(pictures: Iterable[tuple[DecodedPicture, object]]) -> None:
             nonlocal size
             for picture, _ in pictures:
+                clock, capture_ns = receiver.clock_offset, receiver.capture_ns(picture.timestamp)
                 if told := receiver.told(picture.timestamp):
                     size = told[1:]
                 self._put(
@@ -543,9 +547,10 @@ class StreamReceiver(_AsyncClosing):
                         partial(self._shaped, picture, size),
                         None,
                         Quality.DAMAGED if receiver.shows_damage else Quality.FRESH,
-                        receiver.capture_ns(picture.timestamp),
+                        None if capture_ns is None else capture_ns - clock.offset_ns,
                         told and told[0],
                         receiver.take_restart(picture.timestamp),
+                        clock.error_ns,
                     )
                 )
 

@@ -125,7 +125,8 @@ class UdpReceiver:
             timeout_ns = min(timeout_ns, max(due_ns - clock.now_ns(), 0))
         if timeout_ns > 0:
             select.select(self.sockets, (), (), timeout_ns / NS_PER_S)
-        for udp in (self._rtcp, self._rtp):
+        # RTP first: a goodbye that waits, too, ends what waits before it.
+        for udp in (self._rtp, self._rtcp):
             for datagram, source in _datagrams(udp):
                 if udp is self._rtp and not is_rtcp(datagram):
                     receiver.handle_packet(datagram, clock.now_ns(), source)

@@ -12,6 +12,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Quality, VideoCodec
 from kontur_av.metrics import Flat, Newest
 from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
+from kontur_av.rtp.clock_offset import ClockOffset
 from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
 from kontur_av.rtp.header_extensions import elements_of, read_picture
 from kontur_av.rtp.nal_depacketizer import NalDepacketizer, ReceivedUnit
@@ -70,6 +71,7 @@ class VideoReceiver(ReportingReceiver):
     bandwidth_bps: of the session, of which reports take at most 5 %; None: unknown.
     reduced_size: the sender takes a PLI without a report before it (RFC 5506).
     capture_time_id: see `RtpReceiver`. picture_id: of the header extension PICTURE, or None.
+    ask_time: measure how far the sender's clock differs (`ClockOffset`).
     payload_type: of the stream. marked: see `NalDepacketizer`.
     reorder_depth_ns: see `RtpReceiver`. Longer than a round trip where lost packets are sent again.
     most_reorder_ns: see `RtpReceiver`.
@@ -89,6 +91,7 @@ class VideoReceiver(ReportingReceiver):
         reduced_size: bool = False,
         capture_time_id: int | None = None,
         picture_id: int | None = None,
+        ask_time: bool = False,
         payload_type: int = VIDEO_PAYLOAD_TYPE,
         marked: bool = False,
         reorder_depth_ns: int = REORDER_DEPTH_NS,
@@ -110,6 +113,9 @@ class VideoReceiver(ReportingReceiver):
         self._most_pixels = None if largest is None else largest[0] * largest[1]
         self._depacketizer = NalDepacketizer(NAL_FORMATS[codec], parameter_sets, marked=marked)
         self._picture_id = picture_id
+        self._ask_time = ask_time
+        #: What the sender's answers tell of its clock.
+        self.clock_offset = ClockOffset(ssrc, wall_offset_ns)
         self._told: OrderedDict[bytes, tuple[int, int, int]] = OrderedDict()
         self._healing = Healing()
         #: Timestamps of units in the decoder that will show damage, and whether to withhold them.
@@ -128,14 +134,22 @@ class VideoReceiver(ReportingReceiver):
 
     def handle_packet(self, datagram: bytes, now_ns: int, source: Any = None) -> None:
         """As of every stream; a picture's number and size may stand in it."""
+        number = self._picture_id
         with suppress(ProtocolError):
-            told = read_picture(elements_of(datagram).get(self._picture_id or 0, b""))
-            if told is not None:
+            told = number and read_picture(elements_of(datagram).get(number, b""))
+            if told:
                 # By RTP timestamp and SSRC: sources that may follow have theirs, too.
                 self._told[datagram[4:12]] = told
                 if len(self._told) > _REMEMBERED:
                     self._told.popitem(last=False)
         super().handle_packet(datagram, now_ns, source)
+
+    def handle_report(self, datagram: bytes, now_ns: int) -> bool:
+        """As of every stream; it may answer what the time is."""
+        dates = super().handle_report(datagram, now_ns)
+        if dates:
+            self.clock_offset.handle_report(datagram, now_ns)
+        return dates
 
     def told(self, timestamp: int) -> tuple[int, int, int] | None:
         """Return number, width and height of a picture as its sender told them, or None."""
@@ -160,8 +174,10 @@ class VideoReceiver(ReportingReceiver):
             return asked
         if asked is None and not self._reports.is_due(now_ns):
             return None
-        block = self.report_block(now_ns)
-        return self._reports.report(block, now_ns, feedback=asked or b"")
+        block, feedback = self.report_block(now_ns), asked or b""
+        if self._ask_time:
+            feedback = self.clock_offset.time_packet(now_ns) + feedback
+        return self._reports.report(block, now_ns, feedback=feedback)
 
     def next_event(self) -> ReceivedUnit | None:
         """Return the next access unit to decode, or None."""

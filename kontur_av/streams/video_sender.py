@@ -6,6 +6,7 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S, Coding
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, AccessUnit, CaptureStamp
+from kontur_av.rtp.clock_offset import read_receiver_time
 from kontur_av.rtp.feedback import PictureLossListener
 from kontur_av.rtp.nal_payload import DEFAULT_MAX_PAYLOAD_OCTETS
 from kontur_av.rtp.sdp import session_bandwidth_bps
@@ -139,6 +140,7 @@ class VideoSender(PacedSender):
     def handle_feedback(self, datagram: bytes, now_ns: int) -> None:
         """Handle an RTCP datagram from the receiver. Garbage is counted."""
         self._losses.handle_feedback(datagram, now_ns)
+        self._rtp.receiver_time = read_receiver_time(datagram, now_ns) or self._rtp.receiver_time
 
     def handle_new_viewer(self) -> None:
         """Make the next picture a key picture, for a reader that has just joined."""

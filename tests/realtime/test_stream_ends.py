@@ -72,7 +72,7 @@ def test_what_no_report_dates_comes_without_an_age(tmp_path, kind):
 def test_size_number_and_capture_travel_and_a_restart_is_told(to):
     port, captured = free_port(), ({}, {})
     ends = [av.PictureSender(f"{to}:{port}", cap_bps=60_000, format="grey") for _ in captured]
-    with av.StreamReceiver(port=port) as pictures, ThreadPoolExecutor() as pool:
+    with ThreadPoolExecutor() as pool, av.StreamReceiver(port=port) as pictures:
         reading = pool.submit(list, pictures)
         for run, end in zip(captured, ends, strict=True):
             for number in range(30):
@@ -95,21 +95,23 @@ def test_size_number_and_capture_travel_and_a_restart_is_told(to):
 def test_a_source_is_sent_until_it_is_told_to_stop():
     port, seen, said = free_port(), [], []
     source = Path(__file__).parents[2] / "samples" / "clip.mp4"
-    with av.StreamReceiver(port=port, size=(64, 48)) as pictures, ThreadPoolExecutor() as pool:
+    with ThreadPoolExecutor() as pool, av.StreamReceiver(port=port, size=(64, 48)) as pictures:
         reading = pool.submit(lambda: seen.extend(pictures))
         report = av.send(
             str(source),
             f"localhost:{port}",
             cap_bps=np.float64(250e3),
             size=(320, 242),
-            stopped=lambda: len(seen) > 5 and said,
+            # Until the sender has answered what its time is.
+            stopped=lambda: len(seen) > 5 and said and seen[-1].error_ns,
             say=said.append,
+            seconds=60,
         )
         reading.result()
     assert {one.data.shape for one in seen} == {(48, 64, 3)} and pictures.ended == "goodbye"
     assert report.failed == [] and report.size == (320, 242)
     assert report.sender.frames_sent > 5 and 0 < report.payload_bps_max_1s <= report.cap_bps
-    assert said[0].count("kbit/s") == 1
+    assert said[0].count("kbit/s") == 1 and seen[-1].error_ns is not None
 
 
 async def test_an_async_reader_is_ended_from_outside(tmp_path):

@@ -47,11 +47,10 @@ def test_both_ends_together(tmp_path):
     assert done.returncode == 0, done.stderr
     *pictures, end = done.stdout.splitlines()
     assert len(pictures) == 120
-    found = [re.match(r"\(\d+, \d+, 3\), (no|-?[\d.]+ ms) .*, FRESH, mean 6", p) for p in pictures]
-    # The first ones have no age: a report comes within 1.23 s, 37 pictures.
-    ages = [match.group(1) for match in found if match]
-    assert len(ages) == 120, pictures
-    assert "no" not in ages[60:], pictures
+    # The first ones, too, have number, size and age.
+    form = re.compile(r"(\d+): \(480, 640, 3\), [\d.]+ ms old, whole, mean 6")
+    numbers = [int(form.match(picture)[1]) for picture in pictures]
+    assert numbers == sorted(set(numbers)) and numbers[0] > 0
     assert re.fullmatch(r"\d+ skipped; closed", end)
 
 

@@ -51,6 +51,15 @@ class Receiving:
         return self.receiver.counts.rtp
 
 
+def test_a_goodbye_that_waits_with_the_last_packets_ends_the_stream():
+    port = two_ports()
+    with closing(Receiving(HOST, port)) as end, bound() as udp:
+        for number in range(3):
+            udp.sendto(packet(number), (HOST, port))
+        udp.sendto(SENDER_REPORT + struct.pack("!BBHI", 0x81, 203, 1, 7), (HOST, port + 1))
+        assert end.counts().rtp_packets == 3 and end.receiver.ended
+
+
 @pytest.mark.parametrize("group", ["224.1.1.9", "ff15::101", "ff02::1234"])
 def test_several_receivers_of_a_group_share_its_port(group):
     port = two_ports()
