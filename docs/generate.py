@@ -63,10 +63,10 @@ with ka.StreamReceiver(port=5004) as stream:
 print(stream.ended)
 ```
 
-Send a camera, a file or a scene: what `kontur-av send` does, and returns its report.
+Send a file, `v4l2:/dev/video0` or `rtsp://…`: what `kontur-av send` does, and returns its report.
 
 ```python
-report = ka.send("scene:static", "localhost:5004", cap_bps=250_000, seconds=2)
+report = ka.send("clip.mp4", "localhost:5004", cap_bps=250_000, seconds=2)
 print(report.sender.units_sent, report.payload_bps_max_1s)
 ```
 

@@ -2,6 +2,7 @@
 
 import re
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -33,10 +34,11 @@ def test_no_recipe_has_more_than_six_lines():
 def received(port, send, **how):
     """What a receiver gets of the stream that `send` sends to `port`."""
     with ka.StreamReceiver(port=port, **how) as stream:
-        sender = threading.Thread(target=send)
-        sender.start()
-        items = list(stream)
-        sender.join()
+        with ThreadPoolExecutor() as pool:
+            sending = pool.submit(send)
+            sending.add_done_callback(lambda done: done.exception() and stream.close())
+            items = list(stream)
+            sending.result()
     assert stream.ended == "goodbye"
     return items
 
@@ -53,7 +55,8 @@ def test_pictures_are_sent_and_received():
     assert seen and all(data.shape == (480, 640, 3) and age_ms >= 0 for data, age_ms in seen)
 
 
-def test_a_source_is_sent():
+def test_a_source_is_sent(monkeypatch):
+    monkeypatch.chdir(ROOT / "samples")
     port = free_port(more=1)
     text = recipe("ka.send(").replace("5004", str(port))
     items = received(port, lambda: run(text))
