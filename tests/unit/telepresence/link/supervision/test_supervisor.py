@@ -93,38 +93,6 @@ def test_connects_in_two_round_trips_and_a_few_messages(delay_slots, late):
         assert counts_of(pair, kind) == [0, 0]
 
 
-def test_when_settled_messages_are_rare():
-    pair = connected()
-    # Each knows that the other is connected, so frequent messages end.
-    assert max(len(end.sent) for end in pair.ends) <= 8
-    pair.run(3 * S)
-    assert max(len(end.sent) for end in pair.ends) <= 8 + 7
-    before = [len(end.sent) for end in pair.ends]
-    events = [len(end.events) for end in pair.ends]
-    pair.run(20 * S)
-    for end, sent, seen in zip(pair.ends, before, events, strict=True):
-        assert len(end.sent) - sent <= 40
-        assert not end.events[seen:]
-
-
-@SIDES
-@pytest.mark.parametrize("delay_slots", [0, 5, 400])
-def test_a_new_life_of_either_side(who, delay_slots):
-    pair = connected(delay_slots=delay_slots)
-    one, other = ends(pair, who)
-    pair.run(2 * S)
-    for end in pair.ends:
-        end.events.clear()
-    one.start(0x7777, pair.slot)
-    pair.run(6 * delay_slots + 100)
-    assert pair.states == CONNECTED
-    (met,) = other.of(PeerMet)
-    assert met[1:] == (0x7777, True)
-    restarts = [metrics(pair, end).counts["peer_restarts"] for end in (one, other)]
-    assert restarts == [0, 1]
-    assert not one.of(ApplicationReset) + other.of(ApplicationReset)
-
-
 def test_another_life_in_the_peers_stream_must_prove_itself():
     """A single message may be a bit error that the FECF did not detect; the second ends it."""
     pair = connected()
@@ -357,26 +325,6 @@ def test_an_idle_link_is_reset_once_and_one_way_data_is_no_fault(who):
     assert changes == counts_of(pair, StateChanged)
     for end in pair.ends:
         assert_counted(pair, end)
-
-
-def test_a_broken_application_link_is_reset_where_nothing_comes_out():
-    pair = connected()
-
-    # The ground's data is lost between the receiver and the applications in space.
-    def arrive(end, boot_id, message, data, now_ns):
-        Pair.arrive(pair, end, boot_id, message, None if end is pair.space else data, now_ns)
-
-    pair.arrive = arrive
-    pair.run(20 * S)
-    assert pair.states == ("APPROVE", "APPROVE")
-    resets = pair.space.of(ApplicationReset)
-    assert {event.why for event in resets} == {"broken"} and len(resets) == 3
-    assert not pair.ground.of(ApplicationReset)
-    for end in pair.ends:
-        assert_counted(pair, end)
-    del pair.arrive
-    pair.run(50)
-    assert pair.states == CONNECTED
 
 
 @pytest.mark.parametrize(
