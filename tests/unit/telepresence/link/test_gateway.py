@@ -398,6 +398,8 @@ def test_a_real_restart_takes_a_round_trip_more(side, strange):
     one.restart(side)
     begun_ns, far = one.link.now_ns, OTHER[side]
     one.run(1000, Stranger(one, "stray frame") if strange else lambda slot: ())
+    counts = [report.supervision.counts["peer_restarts"] for report in one.reports()]
+    assert dict(zip(SIDES, counts, strict=True)) == {side: 0, far: 1}
     first = {each: one.came(each, "samples", since_ns=begun_ns)[0][0] for each in SIDES}
     # The new start's first message, the answer, and at the peer the answer to that.
     assert (first[side] - begun_ns) // MS <= 2 * DELAY_MS + 15
