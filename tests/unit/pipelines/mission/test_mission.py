@@ -112,9 +112,12 @@ def offered():
 
 def running():
     ground = offered()
-    ground.core.handle_message(k2aci.StartTask(task="aiming", run=1), ground.now_ns)
-    ground.go(1)
+    # That of another task or run is none.
+    for task, run in (("line", 1), ("aiming", 8), ("aiming", 1)):
+        assert ground.phase == "offered"
+        ground.core.handle_message(k2aci.StartTask(task=task, run=run), ground.now_ns)
     assert ground.phase == "running"
+    ground.go(1)
     return ground
 
 
