@@ -229,30 +229,6 @@ def test_a_loss_is_noticed_within_50_ms_of_the_last_frame_and_no_shorter_gap(gap
             assert 0 < lost.now_ns - lost.last_ns <= 50 * MS
 
 
-@SIDES
-def test_one_working_direction_keeps_carrying(who):
-    """Frames of `hearing` no longer reach `lost`, but those of `lost` still arrive."""
-    pair = connected(delay_slots=12)
-    hearing, lost = ends(pair, who)
-    pair.blocked[hearing.name] = True
-    pair.run(200)
-    assert lost.supervisor.state is LinkState.SEARCH
-    assert hearing.supervisor.state is LinkState.CONFIGURE
-    assert "does not hear" in hearing.supervisor.why
-    assert not hearing.supervisor.peer_hears
-    kinds = [type(event) for event in hearing.events]
-    assert kinds[-2:] == [PeerDeaf, StateChanged]
-    count, sent = len(hearing.delivered), len(lost.sent)
-    pair.run(10 * S)
-    assert len(hearing.delivered) - count == 10 * S
-    # Messages to a peer that may not hear are limited, because media share the capacity.
-    assert len(lost.sent) - sent <= 10 * 20 + 100
-    pair.blocked[hearing.name] = False
-    pair.run(100 + 3 * 12)
-    assert pair.states == CONNECTED
-    assert lost.of(PeerHears) and hearing.of(PeerHears)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_it_ends_connected_after_any_disturbances(seed):
     """Blackouts, lost and corrupted messages, restarts, faults; then no more disturbances."""
