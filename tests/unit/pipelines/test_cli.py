@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from common import write_sound
+from common import free_port, write_sound
 from mcap.writer import Writer
 from recordings import Step, write
 from synthetic_recording import write_recording
@@ -353,7 +353,8 @@ def folder():
             "[sources]\na_mic = 'scene:static'\n"
         )
         (here / "good.sdp").write_text(
-            "v=0\nc=IN IP4 127.0.0.1\nm=audio 5010 RTP/AVP 97\na=rtpmap:97 opus/48000/2\n"
+            f"v=0\nc=IN IP4 127.0.0.1\nm=audio {free_port(more=1)} RTP/AVP 97\n"
+            "a=rtpmap:97 opus/48000/2\n"
         )
         (here / "kept").mkdir()
         (here / "kept" / "events.csv").write_text("precious")
