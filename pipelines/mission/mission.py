@@ -16,7 +16,7 @@ from pipelines.session.mission_messages import (
 )
 from pipelines.session.task_journal import LinkMeanwhile, TaskJournal, TaskRow
 from telepresence.tasks.definitions import Catalogue
-from telepresence.tasks.experiment import Experiment, Logged, Phase, TaskRun
+from telepresence.tasks.experiment import Experiment, Logged, Phase, RunStep, TaskRun
 from telepresence.tasks.kernel import (
     ChooseCamera,
     ControlRobot,
@@ -258,8 +258,11 @@ class MissionGround:
         while (event := experiment.next_event()) is not None:
             self.journal.handle_event(event, self._link)
             if isinstance(event, Logged):
-                if self._run is None or self._run.run != event.run:
+                # The panel shows the end after the run is over.
+                if event.step is RunStep.SELECTED:
                     self._run, self._started_ns = event, None
+                elif event.step is RunStep.STARTED:
+                    self._started_ns = event.now_ns
                 self._steps.append(StepShown(event.now_ns, event.run, event.task, event.step.value))
             elif isinstance(event, TaskRun):
                 done = event.result is TaskResult.FINISHED or self._aborted

@@ -4,7 +4,6 @@ from array import array
 from collections import deque
 
 import numpy as np
-from shaped_boards import SlantedBoard
 
 from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
@@ -18,7 +17,7 @@ MS = 1_000_000
 class MediatedPair:
     """round_trip_ms: half of it each way.
     residual: the hand also feels what the wall does not explain (`hand = "auto"`).
-    board, envelope: of the robot.
+    envelope: of the robot.
 
     `rows`, one a millisecond: the handle's x (m), the motors' force along x (N), work of the motors
     at the handle (J), the handle's y, the force along y, and the wall's part of the force (N, N).
@@ -33,13 +32,12 @@ class MediatedPair:
         residual: bool = False,
         stiffness_n_m: float = 1500.0,
         script: tuple[Waypoint, ...] = TAP_TARGETS,
-        board: Board | SlantedBoard | None = None,
         envelope: SafetyEnvelope | None = None,
     ) -> None:
         self.handle = HeldJoystick(hand=Hand(grip, script=script))
         self._feel = {"mediated": mediated, "residual": residual}
         self.space = JoystickSide(handle=self.handle, **self._feel)
-        board = board or Board(WallModel(stiffness_n_m=stiffness_n_m))
+        board = Board(WallModel(stiffness_n_m=stiffness_n_m))
         self.ground = RobotSide(board=board, envelope=envelope, **self._feel)
         self.half_ns = round_trip_ms * MS // 2
         self.now_ns = 0

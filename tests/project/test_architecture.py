@@ -29,9 +29,6 @@ TIERS = (
     {"bench"},
     {"commands"},
 )
-#: The number of modules allowed in the root of `pipelines`.
-MOST_IN_THE_ROOT = 6
-
 #: Modules with I/O, time or randomness. A core gets these as arguments.
 DOORS = words(
     "asyncio concurrent datetime evdev ftplib multiprocessing os secrets select selectors",
@@ -256,8 +253,6 @@ def test_imports_of_pipelines_run_one_way(tier):
 def test_every_room_of_pipelines_has_its_tier():
     rooms = {path.parent.name for path in (ROOT / "pipelines").glob("*/__init__.py")}
     assert rooms == set().union(*TIERS)
-    in_the_root = {path.name for path in (ROOT / "pipelines").glob("*.py")}
-    assert len(in_the_root) <= MOST_IN_THE_ROOT
 
 
 @pytest.mark.rule("2")

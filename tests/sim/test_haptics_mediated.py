@@ -1,12 +1,11 @@
 """Mediated haptics with long delays: the wall is felt as at no delay, calmly and passively."""
 
 from functools import cache
-from math import cos, hypot, radians, sin
+from math import hypot, sin
 
 import numpy as np
 import pytest
 from mediated_pair import MediatedPair
-from shaped_boards import RoundBoard, SlantedBoard
 
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
@@ -73,34 +72,6 @@ def test_a_wall_is_felt_as_without_delay_and_does_not_swing(grip, round_trip_ms)
     check_energy(far)
     # The robot presses as the hand feels.
     assert far.ground.robot.force_n == pytest.approx(-rows[-1, 1], rel=0.1)
-
-
-def slanting(degrees, to_m):
-    """As PRESS, towards a direction, and `to_m` across it on the way."""
-    nx, ny = cos(radians(degrees)), sin(radians(degrees))
-    near, deep = 0.01, 0.055
-    return (
-        Waypoint(near * nx, near * ny, 300 * MS, 700 * MS),
-        Waypoint(deep * nx - to_m * ny, deep * ny + to_m * nx, 500 * MS, 2500 * MS),
-    )
-
-
-@pytest.mark.parametrize("radius_m", [None, 0.04], ids=["plane", "disc"])
-@pytest.mark.parametrize(("degrees", "to_m"), [(45, 0.0), (45, 0.02), (137, -0.02), (285, 0.01)])
-def test_a_slanted_and_a_round_wall_are_felt_along_their_normal(degrees, to_m, radius_m):
-    angle = radians(degrees)
-    board = SlantedBoard(angle) if radius_m is None else RoundBoard(angle, radius_m=radius_m)
-    far = MediatedPair(300, SOFT_GRIP, board=board, script=slanting(degrees, to_m))
-    far.run(12)
-    rows = far.rows
-    for x_m, y_m, wx, wy in rows[[3999, 7999, 11999]][:, [0, 3, 5, 6]]:
-        depth, nx, ny = board.surface(x_m, y_m)
-        assert -(wx * nx + wy * ny) == pytest.approx(600.0 * depth, rel=0.05)
-        assert hypot(wx, wy) == pytest.approx(600.0 * depth, rel=0.05)
-    # The whole force of the motors: wall and damping.
-    assert largest_step_n(rows) < 1.0
-    assert far.space.controller.port.in_j > 0.1
-    check_energy(far)
 
 
 PUSH_6_N = HandModel(stiffness_n_m=1000.0, damping_n_s_m=20.0, mass_kg=0.4, push_n=6.0)

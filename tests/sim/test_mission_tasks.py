@@ -3,24 +3,17 @@
 from dataclasses import replace
 
 import pytest
-from common import repeats
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mission import MS, Mission
 
 from telepresence.haptics.board import LIGHTS_M
 from telepresence.haptics.sample import MODE_OFF
 from telepresence.tasks.cosmonaut import LOOK_NS
-from telepresence.tasks.experiment import Experiment, Phase, RunStep, TaskRun
-from telepresence.tasks.kernel import PowerRobot, View
+from telepresence.tasks.experiment import Phase, RunStep
 from telepresence.tasks.panel import MissionPanel
 from telepresence.tasks.scores import ScoreKeeper
-from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.k2aci import (
     Numbered,
     PanelMode,
-    PanelState,
-    StartTask,
     TaskFinished,
     TaskResult,
     TaskSelected,
@@ -240,52 +233,3 @@ def test_a_dead_man_button_that_is_let_go_stops_the_tip_and_not_the_task():
     del mission.cosmonaut.handle_robot
     assert mission.run(60, until=lambda: mission.runs)
     assert mission.runs[0].result is TaskResult.FINISHED
-
-
-VIEWS = ("signal", "fault", "halted")
-EVENTS = st.sampled_from(
-    [
-        *(("select", "aiming"), ("select", "line"), ("abort", ""), ("start", ""), ("stray", "")),
-        *(("panel", PanelMode.ERROR), ("panel", PanelMode.RUNNING)),
-        *(("signal", False), ("signal", True), ("fault", "hot"), ("fault", "")),
-        *(("halted", True), ("halted", False), ("wait", 1), ("wait", 30), ("wait", 700)),
-    ]
-)
-
-
-@settings(max_examples=repeats(40))
-@given(st.lists(EVENTS, max_size=30))
-def test_in_any_order_of_events_every_run_ends_once_with_the_robot_off(events):
-    experiment = Experiment(built_in_tasks())
-    selected, ended, powered, now_ns = 0, [], False, 0
-    view = {"signal": True, "fault": "", "halted": False}
-    for what, value in [*events, ("signal", True), ("wait", 7_000)]:
-        run = experiment.status.run
-        if what == "select":
-            selected += experiment.select(value, now_ns) == ""
-        elif what == "abort":
-            experiment.abort("asked", now_ns)
-        elif what == "start":
-            task = experiment.status.task or "none"
-            experiment.handle_message(StartTask(task=task, run=run), now_ns)
-        elif what == "stray":
-            experiment.handle_message(StartTask(task="line", run=run + 7), now_ns)
-            finished = TaskFinished(task="line", run=run, result=TaskResult.ABORTED)
-            experiment.handle_message(finished, now_ns)
-        elif what == "panel":
-            experiment.handle_message(PanelState(mode=value, task="line", run=run), now_ns)
-        elif what in VIEWS:
-            view[what] = value
-        for _ in range(value if what == "wait" else 1):
-            if what == "wait":
-                now_ns += 100_000_000
-                experiment.handle_view(View(powered=powered, **view), now_ns)
-            while (order := experiment.poll_transmit(now_ns)) is not None:
-                powered = order.on if isinstance(order, PowerRobot) else powered
-            for message in iter(experiment.poll_message, None):
-                assert not isinstance(message, StartTask | PanelState)
-            news = iter(experiment.next_event, None)
-            ended += [event.run for event in news if isinstance(event, TaskRun)]
-    assert experiment.status.phase is Phase.IDLE
-    assert ended == list(range(1, selected + 1))
-    assert not powered

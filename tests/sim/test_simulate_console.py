@@ -37,6 +37,8 @@ def test_a_camera_is_selected_after_a_loss_of_signal_unless_it_lasts_too_long(tm
     assert selection_error("select static", earlier) == "select static: a later request came"
     assert later.ok and later.tries > 1
     dark = "[[blackouts]]\nstart_s = 1\nseconds = 40\n"
+    (waits,) = answers(tmp_path, dark, [Selection(2 * NS_PER_S, "static")], 10)
+    assert waits.stage == "unacknowledged" and waits.tries > 2 and not waits.done
     (gone,) = answers(tmp_path, dark, [Selection(2 * NS_PER_S, "static")], 38)
     assert gone.done and not gone.verified
     assert selection_error("select static", gone) == "select static: no acknowledgement came"

@@ -1,23 +1,10 @@
 """Telecommands and telemetry of a whole session on virtual time."""
 
-import json
-
 from tmtc_session import Session
 
 from pipelines.mission.tmtc import PUS_RATE_BPS
 from pipelines.mission.tmtc_messages import CommandUpdate, K2aciArrived, K2aciUpdate, Reported
-from pipelines.seats.mission_client import MissionClient
-from pipelines.seats.texts import CommandRequest
-from pipelines.session.access import Role
 from pipelines.session.setup.segments import Segment
-from telepresence.link.radio import Blackout, RadioProfile
-from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
-
-
-def dead(direction, seconds=60.0, start_s=2.0):
-    """A radio that loses everything in one direction, or in both, from second 2 on."""
-    blackout = Blackout(start_s=start_s, seconds=seconds, direction=direction)
-    return RadioProfile(name="half", blackouts=(blackout,))
 
 
 def test_telecommands_and_chat_go_both_ways_and_are_verified():
@@ -68,44 +55,6 @@ def test_housekeeping_of_all_applications_reaches_the_other_end():
         one for one in session.of(Segment.SPACE, Reported) if one.application == "ground_gateway"
     ]
     assert (link.values["state"], link.values["signal"]) == ("connected", True)
-
-
-def test_a_page_says_that_a_telecommand_is_unacknowledged_until_the_direction_is_back():
-    session = Session(radio=dead("downlink", seconds=10.0))
-    ground = Segment.GROUND
-    service = MissionClient(ground, built_in_dictionary(), client="page.1")
-
-    def heard(news, now_ns):
-        service.handle_news(news, now_ns)
-        if isinstance(news, Reported) and news.application == "ground_gateway":
-            service.handle_signal(news.name != "signal_lost")
-
-    def told():
-        """The telecommand's line, and what the page says of the radio."""
-        service.poll_texts()
-        (line,) = json.loads(service.texts["commands"])["commands"]
-        return line, json.loads(service.texts["radio"])["words"]
-
-    session.tmtc.subscribe(ground, heard)
-    session.run(5)
-    asked = CommandRequest(request=7, application="joystick", name="halt")
-    assert service.handle_command(3, Role.SUPERVISOR, asked, session.now_ns) is None
-    session.tmtc.handle_request(ground, service.poll_transmit(session.now_ns), session.now_ns)
-    session.run(4)
-    # Carried out, which nobody on the ground knows.
-    assert session.asked == [("joystick", "halt")]
-    line, radio = told()
-    assert (line["stage"], line.get("done", False)) == ("unacknowledged", False)
-    assert line["tries"] > 2
-    assert "Nothing arrives from space: telecommands go out unacknowledged." in radio
-    assert service.next_event() is None
-    session.run(5)
-    assert session.asked == [("joystick", "halt")]
-    line, radio = told()
-    assert (line["stage"], line["ok"], line["verified"]) == ("completed", True, True)
-    assert radio == "Both directions carry."
-    assert service.next_event()[:3] == (3, 7, "")
-    assert session.tmtc.ends[Segment.SPACE].applications["joystick"].executed == 1
 
 
 def test_the_worst_load_of_tmtc_takes_from_video_what_the_bucket_allows_and_nothing_from_haptics():

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from common import write_sound
+from common import free_port, write_sound
 from mcap.writer import Writer
 from recordings import Step, write
 from synthetic_recording import write_recording
@@ -33,6 +33,7 @@ SHORT = {
     "LISTEN": [*GROUND, "--listen", "0.0.0.0:27000", "--insecure"],
     "SPACE": SPACE,
     "PLAN": PLAN,
+    "SECOND": ["--setup", "spacejustin", "--seconds", "1"],
     "HEAD": ["--setup", "spacejustin", "--no-page", "--source"],
     "TONE": ["--audio", "tone.wav", "--to", "127.0.0.1:5004", "--cap-kbps", "64"],
     "FILM": ["--video", "x.mp4", "--to", "127.0.0.1:5004", "--cap-kbps", "64"],
@@ -134,6 +135,13 @@ REFUSALS = {
     "simulate": {
         "--setup spacejustin --seconds 1 --plan two_hands.toml": "handshake needs two hands",
         "--setup spacejustin": "--seconds is missing",
+        "SECOND --source head=v4l2:/dev/x": "real time; a simulation takes scene:NAME, a media",
+        "SECOND --source head=page": "real time; a simulation takes scene:NAME, a media file",
+        "SECOND --select 0=roof": "roof",
+        "SECOND --select soon=head": "soon",
+        "SECOND --select 1=head": "head",
+        "SECOND --encode-ms -1": "--encode-ms",
+        "SECOND --decode-ms 5000": "--decode-ms",
         "TASKBOARD --seconds 1 --joystick=page": "lives in real time",
         "TASKBOARD --seconds 1 --joystick=evdev": "lives in real time",
         "TASKBOARD --seconds 1 --robot=udp:h:1": "lives in real time",
@@ -346,7 +354,8 @@ def folder():
             "[sources]\na_mic = 'scene:static'\n"
         )
         (here / "good.sdp").write_text(
-            "v=0\nc=IN IP4 127.0.0.1\nm=audio 5010 RTP/AVP 97\na=rtpmap:97 opus/48000/2\n"
+            f"v=0\nc=IN IP4 127.0.0.1\nm=audio {free_port(more=1)} RTP/AVP 97\n"
+            "a=rtpmap:97 opus/48000/2\n"
         )
         (here / "kept").mkdir()
         (here / "kept" / "events.csv").write_text("precious")

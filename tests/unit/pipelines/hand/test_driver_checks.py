@@ -151,11 +151,6 @@ def read(device, change, name="read"):
     setattr(device, name, lambda: change(next(numbers), method()))
 
 
-def seldom(**fields):
-    """What changes these fields of every hundredth reading."""
-    return lambda d: read(d, lambda k, one: one if k % 100 else one._replace(**fields))
-
-
 def read_axis(device, index, change):
     """Change the reading of one axis; `change(number)` says what of it."""
 
@@ -176,11 +171,6 @@ def jump(number, reading):
 def each_cycle(device, do):
     """Do something before each cycle."""
     told(device, "advance", lambda dt_ns: (do(), dt_ns)[1:])
-
-
-def after_cycle(device, do):
-    advance = device.advance
-    device.advance = lambda dt_ns: (advance(dt_ns), do())
 
 
 def stale(cycles, moves):
@@ -236,14 +226,6 @@ def no_force_comes_20_ms_late(lever):
         return last[0]
 
     told(lever, "write_force", late)
-
-
-@fault(Arm, "z rest")
-def a_motor_of_z_is_on_without_an_order(arm):
-    z = arm.axes[0]
-    after_cycle(
-        arm, lambda: given(z, "speed_m_s", max(z.speed_m_s, 0.006 if z.force_n == 0.0 else -9.0))
-    )
 
 
 @fault(Mass, "power on", GREAT_FAULTS)
@@ -327,29 +309,20 @@ SIMPLE_FAULTS = [
         "capabilities",
         lambda d: given(d, "capabilities", replace(d.capabilities, half_height_m=-0.1)),
     ),
-    # Its y axis has no motor; yaw or z have none.
+    # Its y axis has no motor.
     (Lever, "moves", lambda d: told(d, "write_force", lambda x_n, y_n: (x_n, 0.0))),
-    (Arm, "yaw moves", lambda d: told(d, "write_more_forces", lambda one: ([one[0], 0.0],))),
-    (Wrist, "z moves", lambda d: told(d, "write_more_forces", lambda one: ([0.0, one[1]],))),
     # It does not listen to where the middle is.
     (Lever, "zero", lambda d: given(d, "set_zero", nothing)),
-    # It keeps its force until the next; yaw alone does.
+    # It keeps its force until the next.
     (Lever, "missed cycles", lambda d: each_cycle(d, lambda: given(d, "age_s", 0.0))),
-    (
-        Arm,
-        "yaw missed cycles",
-        lambda d: given(d, "release_axes", lambda: given(d.axes[0], "force_n", 0.0)),
-    ),
     (Mass, "missed cycles", lambda d: each_cycle(d, lambda: given(d, "age_s", 0.0))),
     # A measurement is missing at times.
-    (Lever, "readings", seldom(vy_m_s=nan)),
-    (Mass, "readings", seldom(y_m=nan)),
-    (Arm, "z readings", lambda d: read_axis(d, 0, lambda k: {"position": nan} if k == 100 else {})),
     (
-        Wrist,
-        "yaw readings",
-        lambda d: read_axis(d, 1, lambda k: {} if k % 100 else {"speed": nan}),
+        Lever,
+        "readings",
+        lambda d: read(d, lambda k, one: one if k % 100 else one._replace(vy_m_s=nan)),
     ),
+    (Arm, "z readings", lambda d: read_axis(d, 0, lambda k: {"position": nan} if k == 100 else {})),
     # While it moves, it once measures nothing new for a while.
     (Lever, "readings", lambda d: read(d, stale(25, lambda one: one.vx_m_s > 0.01))),
     (Mass, "readings", lambda d: read(d, stale(22, lambda one: one.vx_m_s > 0.005))),
@@ -368,7 +341,6 @@ SIMPLE_FAULTS = [
     (Lever, "dead-man button", lambda d: read(d, lambda k, one: one._replace(dead_man=k == 700))),
     # A reading takes 0.7 ms; it waits for its brakes.
     (Lever, "cycle time", lambda d: read(d, lambda _, one: (wait(0.7), one)[1])),
-    (Mass, "cycle time", lambda d: read(d, lambda _, one: (wait(0.7), one)[1])),
     (Mass, "emergency stop", lambda d: told(d, "deactivate", lambda: wait(30) or ())),
     # Closed, it is still there, keeps its force, or raises.
     (Lever, "unplugged", lambda d: given(d, "close", lambda: given(d, "force", [0.0, 0.0]))),

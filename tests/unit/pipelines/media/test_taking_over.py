@@ -93,14 +93,6 @@ def test_stamps_rise_and_count_without_a_gap_whatever_a_page_says(camera):
     assert takeover.poll_timeout() is None
 
 
-def test_the_own_source_does_not_return_for_one_picture_between_late_ones(camera):
-    """A page 480 ms behind is still one page."""
-    for at_ms in range(1000, 2000, PERIOD_MS):
-        camera.page(at_ms - 480, now_ms=at_ms)
-        camera.own(at_ms + 30)
-    assert all(of_page for of_page, _ in camera.taken)
-
-
 def rtp_timestamps(stamps):
     """What the voice's sender makes of these blocks, in blocks since the first."""
     sender = make_sender(payload_type=97, clock_rate_hz=48_000, timestamp_offset=0)

@@ -112,9 +112,12 @@ def offered():
 
 def running():
     ground = offered()
-    ground.core.handle_message(k2aci.StartTask(task="aiming", run=1), ground.now_ns)
-    ground.go(1)
+    # That of another task or run is none.
+    for task, run in (("line", 1), ("aiming", 8), ("aiming", 1)):
+        assert ground.phase == "offered"
+        ground.core.handle_message(k2aci.StartTask(task=task, run=run), ground.now_ns)
     assert ground.phase == "running"
+    ground.go(1)
     return ground
 
 
@@ -184,6 +187,7 @@ def test_a_restarted_panel_is_told_its_task_again_or_ends_the_run_as_a_fault_of_
 def test_the_next_life_ends_the_run_or_without_a_memory_switches_the_robot_off():
     before = running()
     kept = msgspec.json.decode(msgspec.json.encode(before.core.memory), type=MissionMemory)
+    assert kept.started_ns == 2_000 * NS_PER_MS
     ground = Ground(kept)
     assert not ground.robot.powered and ground.core.leds.picture == DARK
     assert ground.messages == [
@@ -229,6 +233,7 @@ class Mission(Ground):
     def __init__(self):
         super().__init__()
         self.halted, self.place, self.dead_man, self.reach = "", (0.0, 0.0), False, 0
+        self.offered = 0
         self.down, self.runs, self.steps_of = deque(), {}, {}
         self.panel = MissionPanel()
 
@@ -236,7 +241,8 @@ class Mission(Ground):
         match action:
             case "select" | "abort" | "start":
                 arguments = (0,) if action == "select" else ()
-                self.core.handle_function(action, arguments, self.now_ns)
+                refusal = self.core.handle_function(action, arguments, self.now_ns)
+                self.offered += action == "select" and refusal == ""
             case "button":
                 self.panel.handle_button(self.now_ns)
             case "hand":
@@ -347,5 +353,9 @@ class Mission(Ground):
 @given(st.lists(st.sampled_from(ACTIONS), min_size=5, max_size=40))
 def test_no_words_of_a_mission_contradict_its_state(actions):
     mission = Mission()
-    for action in actions:
+    for action in (*actions, "fix", "abort"):
         mission.do(action)
+    # Every run ends once, with the robot off.
+    mission.live(80)
+    assert mission.phase == "idle" and not mission.robot.powered
+    assert [row.run for row in mission.core.memory.rows] == [*range(1, mission.offered + 1)]

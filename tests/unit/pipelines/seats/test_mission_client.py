@@ -152,11 +152,13 @@ def test_telecommands_that_nobody_acknowledges_are_told(service):
 def test_each_dead_direction_is_said_in_words_and_at_once(service):
     ground = Segment.GROUND
     down = radio_text(ground, hears=False, heard=True, unverified=3)
-    assert down.level == "bad" and "Nothing arrives from space" in down.words
+    assert down.level == "bad"
+    assert "Nothing arrives from space: telecommands go out unacknowledged." in down.words
     assert "last 3" in down.words
     up = radio_text(ground, hears=True, heard=False, unverified=0)
     assert up.level == "bad" and "Space does not hear us" in up.words
-    assert radio_text(ground, hears=True, heard=None, unverified=0).level == "good"
+    well = radio_text(ground, hears=True, heard=None, unverified=0)
+    assert (well.level, well.words) == ("good", "Both directions carry.")
     # The other gateway says that it does not hear us.
     service.core.handle_signal(True)
     for kind, source, name, values, level in (

@@ -282,10 +282,15 @@ def test_a_single_working_direction_keeps_carrying(side):
     """side: what it sends arrives."""
     one, far = connected(), OTHER[side]
     since_ns = one.link.now_ns
+    before = one.end(side).report(since_ns).supervision.counts["messages_sent"]
     one.shut(far)
     one.run(4_000)
     states = [one.end(each).supervisor.state.name for each in (side, far)]
     assert states == ["SEARCH", "CONFIGURE"]
+    assert "does not hear" in one.end(far).supervisor.why and not one.end(far).supervisor.peer_hears
+    # Messages to a peer that may not hear are limited, because media share the capacity.
+    counts = one.end(side).report(one.link.now_ns).supervision.counts
+    assert counts["messages_sent"] - before <= 4 * 20 + 100
     until_ns = one.link.now_ns - 100 * MS
     assert not one.lost(far, since_ns + 50 * MS, until_ns)
     media = one.came(far, "voice", "video", since_ns=since_ns)
@@ -398,6 +403,8 @@ def test_a_real_restart_takes_a_round_trip_more(side, strange):
     one.restart(side)
     begun_ns, far = one.link.now_ns, OTHER[side]
     one.run(1000, Stranger(one, "stray frame") if strange else lambda slot: ())
+    counts = [report.supervision.counts["peer_restarts"] for report in one.reports()]
+    assert dict(zip(SIDES, counts, strict=True)) == {side: 0, far: 1}
     first = {each: one.came(each, "samples", since_ns=begun_ns)[0][0] for each in SIDES}
     # The new start's first message, the answer, and at the peer the answer to that.
     assert (first[side] - begun_ns) // MS <= 2 * DELAY_MS + 15

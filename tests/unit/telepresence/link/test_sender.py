@@ -162,14 +162,6 @@ def test_a_flood_of_telecommands_is_limited_and_counted():
     assert queues["tmtc"].max_octets <= 8192
 
 
-def test_a_telecommand_takes_the_next_slot_and_video_continues():
-    line = Line(flows=FLOWS)
-    line.put("video", rtp(96, 1, 2, 3) + bytes(range(100)))
-    line.run(20, lambda slot: [("tmtc", b"now")] if slot == 4 else [])
-    # 113 octets alone take ten slots; the telecommand costs five and the resume tag one.
-    assert (line.ages["tmtc"], line.ages["video"]) == ([0], [9])
-
-
 def test_the_newest_sample_wins():
     sender, receiver = LinkSender(UPLINK, FLOWS), LinkReceiver(UPLINK, FLOWS)
     for octet in range(3):
@@ -257,15 +249,6 @@ def each(interval, name, octets, phase=0):
 
 def beside(*sources):
     return lambda slot: [packet for source in sources for packet in source(slot)]
-
-
-def test_overload_wastes_little_on_packets_that_come_too_late():
-    """Twice the capacity in large packets beside voice: what is begun mostly ends in time."""
-    line = Line().run(20_000, beside(each(20, "voice", 33, 7), each(33, "video", 720)))
-    sent = line.sender.octets()["video"]
-    assert sent > 0.99 * (20_000 * 12 - 1000 * 36)
-    assert 720 * len(line.ages["video"]) >= 0.97 * sent
-    assert len(line.ages["voice"]) == line.taken["voice"]
 
 
 def test_all_rtcp_gets_through_an_overload_and_a_flood_of_it_leaves_half_to_media():

@@ -152,18 +152,6 @@ def test_heat_warns_then_weakens_then_halts_until_it_is_cool(session):
     assert (report.temperature_warnings, report.hottest_c) == (2, 80.5)
 
 
-@pytest.mark.parametrize("wrong_c", [nan, inf, -inf])
-def test_an_invalid_temperature_is_an_error_without_force(session, wrong_c):
-    session.motors.temperature_c = wrong_c
-    session.run(0.02, force=(500.0, 0.0))
-    assert session.state is RECOVERABLE
-    assert session.operation.reason == "the thermometer reads no number"
-    assert session.handle.force_limit_n == 0.0
-    session.motors.temperature_c = 23.0
-    assert session.run(6).state is APPLICATION
-    assert session.handle.force_limit_n == CAPABILITIES.force_limit_n
-
-
 def test_silence_halts_it_and_the_first_sample_brings_it_back():
     session = in_application(limits=Limits(silence_ns=NS_PER_S))
     session.robot = False

@@ -44,19 +44,6 @@ def flipped(one, other):
     ]
 
 
-def test_a_fixed_delay_without_loss():
-    path = RadioPath(delay_ns=5 * MS)
-    path.handle_frame(b"a", 0)
-    path.handle_frame(b"b", MS)
-    assert path.poll_timeout() == 5 * MS
-    assert path.poll_transmit(5 * MS - 1) is None
-    assert path.poll_transmit(6 * MS) == b"a"
-    assert path.poll_transmit(6 * MS) == b"b"
-    assert path.poll_transmit(6 * MS) is None
-    report = path.report()
-    assert (report.delay_ns, report.frames_sent, report.frames_lost) == (5 * MS, 2, 0)
-
-
 @pytest.mark.parametrize("probability", [0.0, 0.03, 0.5, 1.0])
 def test_frames_are_lost_at_the_requested_rate(probability):
     path = RadioPath(loss=probability, seed=3)
