@@ -41,6 +41,8 @@ class SourceReport(Report, frozen=True, kw_only=True):
 
     faults: int
     last_fault: str
+    #: What dates its pictures: `source` (the camera itself) or `arrival`; of cameras only.
+    dated_by: str | None = None
 
 
 class SendReport(Report, frozen=True, kw_only=True):

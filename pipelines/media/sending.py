@@ -8,6 +8,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from kontur_av.meters import Histogram
 from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
+from kontur_av.sources.live import LiveVideo
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed
@@ -40,6 +41,7 @@ class SendShell:
         self._clock = clock
         self._encoded_ns = Histogram()
         self._sent_ns = Histogram()
+        self._told_faults = 0
 
     def run(self, seconds: float | None) -> SendReport:
         start_ns = self._clock.now_ns()
@@ -83,6 +85,10 @@ class SendShell:
             self._transmit()
 
     def _line(self, now_ns: int, start_ns: int) -> None:
+        source = self._feed.source
+        if source.faults > self._told_faults:
+            self._told_faults = source.faults
+            say(source.last_fault)
         counts, released = self._sender.counts, self._sender.released
         say(
             f"{(now_ns - start_ns) / NS_PER_S:6.0f} s  {counts.frames_captured} captured, "
@@ -118,7 +124,11 @@ class SendShell:
                     capture_to_sent=latency_ms(self._sent_ns),
                 )
             ),
-            source=SourceReport(faults=feed.source.faults, last_fault=feed.source.last_fault),
+            source=SourceReport(
+                faults=feed.source.faults,
+                last_fault=feed.source.last_fault,
+                dated_by=feed.source.dated_by if isinstance(feed.source, LiveVideo) else None,
+            ),
             cpu_s=time.process_time(),
             size=feed.size if isinstance(feed, PictureFeed) else None,
             coded_size=feed.coded_size if isinstance(feed, PictureFeed) else None,

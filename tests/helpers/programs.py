@@ -4,10 +4,13 @@ import contextlib
 import shutil
 import signal
 import subprocess
+from pathlib import Path
 
 import pytest
 from common import TIMEOUT_S
 
+SYSTEM_PYTHON = "/usr/bin/python3"
+MEDIA_SERVER = Path(__file__).with_name("media_server.py")
 _PLUGINS = "gstreamer1.0-plugins-{base,good,bad,ugly} gstreamer1.0-libav"
 #: Where another name is needed than the program's: packages of Debian.
 _PACKAGES = {
@@ -35,6 +38,13 @@ def needs_elements(*elements: str) -> None:
     for element in elements:
         if subprocess.run(["gst-inspect-1.0", "--exists", element], check=False).returncode:
             pytest.skip(f"gst-launch-1.0 without {element}: apt-get install {_PLUGINS}")
+
+
+def needs_media_server() -> None:
+    """Skip the test unless GStreamer's RTSP server can be run."""
+    found = [SYSTEM_PYTHON, MEDIA_SERVER, "--check"]
+    if subprocess.run(found, stderr=subprocess.DEVNULL, check=False).returncode:
+        pytest.skip("python3-gi: apt-get install python3-gi gir1.2-gst-rtsp-server-1.0")
 
 
 @contextlib.contextmanager

@@ -1,15 +1,21 @@
 """Input of a session from outside: garbage on its ports, and faulty sources."""
 
+import contextlib
 import os
 import random
 import shutil
+import signal
 import socket
 import struct
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from common import free_port
+from mcap.reader import make_reader
+from programs import MEDIA_SERVER, SYSTEM_PYTHON, needs_elements, needs_media_server, running
 from running_session import eventually, restarted
 
 from pipelines.session.setup.table import PORTS
@@ -139,3 +145,37 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
     assert "writer has gone" in processes["camera_head"]["source_fault"]
     assert restarted(report) == {}
     session.assert_nothing_left()
+
+
+def test_a_camera_in_the_network_comes_back_and_its_password_is_nowhere(start, tmp_path):
+    needs_media_server()
+    needs_elements("x264enc", "rtph264pay")
+    port = free_port(socket.SOCK_STREAM)
+    command = SYSTEM_PYTHON, MEDIA_SERVER, port, "bob:S3cret-1"
+    shown = f"rtsp://127.0.0.1:{port}/h264"
+    with contextlib.ExitStack() as stack:
+        log = tmp_path / "server.txt"
+        server = stack.enter_context(running(log, *command, end=signal.SIGKILL))
+        eventually(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "the server")
+        source = f"head={shown.replace('127', 'bob:S3cret-1@127', 1)}"
+        session = start("spacejustin", "--source", source, "--record", "a.mcap")
+        session.pids()
+        assert session.select("head").returncode == 0
+        session.wait_for_flow()
+        server.kill()
+        eventually(lambda: f"{shown}: " in (tmp_path / "out.txt").read_text(), "the reason")
+        stack.enter_context(running(log, *command, end=signal.SIGKILL))
+        session.wait_for_flow()
+        for pid in (session.process.pid, *session.pids().values()):
+            assert b"S3cret" not in Path(f"/proc/{pid}/cmdline").read_bytes()
+        report = session.finish(sound=True)
+    camera = report["processes"]["camera_head"]
+    assert camera["restarts"] == 0 and camera["counts"]["source_faults"] >= 1
+    assert camera["dated_by"] in ("source", "arrival")
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file)
+        kept = b"".join(message.data for *_, message in reader.iter_messages())
+        kept += "".join(str(each.metadata) for each in reader.iter_metadata()).encode()
+    assert shown.encode() in kept
+    written = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
+    assert not any(b"S3cret" in octets for octets in (kept, *written))
