@@ -2,14 +2,15 @@
 
 import os
 import stat
-import threading
 from pathlib import Path
+from typing import Any
 
 import av
 
 from kontur_av.clock import NS_PER_S, Clock
 from kontur_av.errors import ConfigError
-from kontur_av.sources.live import LiveVideo
+from kontur_av.sources.live import LiveCapture, in_time
+from kontur_av.sources.v4l2 import FORMATS, CameraMode, ask_camera, choose_mode
 
 #: A driver that has not opened the camera after this time is considered hung.
 _OPEN_TIMEOUT_S = 5.0
@@ -21,23 +22,13 @@ def check_camera(device: str) -> None:
     The check opens the device briefly, in the same way as `CameraVideo`.
     """
     _check_node(device)
-    outcome: list[Exception | None] = []
-
-    def attempt() -> None:
-        try:
-            av.open(device, format="v4l2").close()
-        except (av.FFmpegError, OSError, ValueError) as error:
-            outcome.append(error)
-        else:
-            outcome.append(None)
-
-    thread = threading.Thread(target=attempt, name=f"check of {device}", daemon=True)
-    thread.start()
-    thread.join(_OPEN_TIMEOUT_S)
-    if not outcome:
-        raise ConfigError(f"camera {device!r} does not answer: unplug it and plug it in again")
-    if outcome[0] is not None:
-        raise _cannot_open(device, outcome[0])
+    try:
+        in_time(lambda: av.open(device, format="v4l2").close(), _OPEN_TIMEOUT_S)
+    except (av.FFmpegError, OSError, ValueError) as error:
+        if type(error) is TimeoutError:
+            answer = "does not answer: unplug it and plug it in again"
+            raise ConfigError(f"camera {device!r} {answer}") from None
+        raise _cannot_open(device, error) from None
 
 
 def _cannot_open(device: str, error: Exception) -> ConfigError:
@@ -61,7 +52,7 @@ def _check_node(device: str) -> None:
         raise ConfigError(f"may not open {device!r}: add yourself to the group `video`")
 
 
-class CameraVideo(LiveVideo):
+class CameraVideo(LiveCapture):
     """Pictures of a camera (a `VideoSource`): the newest one, stamped by the driver.
 
     A camera that disappears is opened again, twice a second.
@@ -88,7 +79,16 @@ class CameraVideo(LiveVideo):
             _check_node(device)
         super().__init__(name, width, height, clock, device)
         self._demuxer = demuxer
+        wanted = CameraMode("", width, height, fps)
+        found = ask_camera(Path(device)) if demuxer == "v4l2" else None
+        mode = choose_mode(found.modes if found else (), wanted)
         self._options = {"video_size": f"{width}x{height}", "framerate": str(fps)}
+        if mode is not None:
+            self._options = {
+                "input_format": FORMATS[mode.fourcc],
+                "video_size": f"{mode.width}x{mode.height}",
+                "framerate": f"{mode.fps or fps:g}",
+            }
         try:
             container = self._open()
         except (av.FFmpegError, OSError, ValueError) as error:
@@ -102,9 +102,7 @@ class CameraVideo(LiveVideo):
             # The driver lacks this size or rate; use its default instead.
             return av.open(self._place, format=self._demuxer)
 
-    def _stated_ns(
-        self, packet: "av.Packet[av.VideoStream]", frame: av.VideoFrame, now_ns: int
-    ) -> int | None:
+    def _stated_ns(self, packet: "av.Packet[Any]", frame: av.VideoFrame, now_ns: int) -> int | None:
         """The driver's stamp if it is on the monotonic clock."""
         if packet.pts is None or packet.time_base is None:
             return None

@@ -2,8 +2,10 @@
 
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from concurrent.futures import Future
 from fractions import Fraction
-from typing import Any
+from typing import Any, TypeVar
 
 import av
 
@@ -13,6 +15,8 @@ from kontur_av.sources.file import set_up_decoder
 from kontur_av.sources.fit import Fitter
 from kontur_av.sources.source import RETRY_NS, StampingSource
 
+T = TypeVar("T")
+
 #: Without a picture for this long, a live input is opened again.
 STALL_S = 5.0
 #: The same, with packets that cannot be decoded: the next picture to begin with may be that far.
@@ -21,7 +25,24 @@ _UNDECODED_S = 20.0
 _FAULTS = av.FFmpegError, OSError, ValueError, ArithmeticError, LookupError
 
 
-class LiveVideo(StampingSource, ABC):
+def in_time(work: Callable[[], T], seconds: float) -> T:
+    """Return what `work` returns, or raise what it raises; TimeoutError if that takes longer.
+
+    It goes on then, in a thread: FFmpeg cannot be interrupted everywhere.
+    """
+    done: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except Exception as error:
+            done.set_exception(error)
+
+    threading.Thread(target=run, name="opening", daemon=True).start()
+    return done.result(seconds)
+
+
+class LiveCapture(StampingSource, ABC):
     """Pictures of a live input (a `VideoSource`): the newest one. A subclass opens it.
 
     FFmpeg can hang in a read for ever, so a thread reads, and `read` waits for it. What fails or
@@ -68,9 +89,7 @@ class LiveVideo(StampingSource, ABC):
         """Open the input. It may raise what FFmpeg raises."""
 
     @abstractmethod
-    def _stated_ns(
-        self, packet: "av.Packet[av.VideoStream]", frame: av.VideoFrame, now_ns: int
-    ) -> int | None:
+    def _stated_ns(self, packet: "av.Packet[Any]", frame: av.VideoFrame, now_ns: int) -> int | None:
         """The capture by the input's own date; None if it has none that can be true."""
 
     def _reason(self, error: Exception) -> str:
@@ -109,7 +128,6 @@ class LiveVideo(StampingSource, ABC):
         set_up_decoder(stream)
         last_ns = decoded_ns = self._clock.now_ns()
         before = self._decoded
-        packet: av.Packet[Any]
         for packet in container.demux():
             now_ns = self._clock.now_ns()
             if self._closing.is_set():
@@ -136,9 +154,7 @@ class LiveVideo(StampingSource, ABC):
             if now_ns - decoded_ns > _UNDECODED_S * NS_PER_S:
                 raise ValueError(f"no picture can be decoded for {_UNDECODED_S:g} s")
 
-    def _handle_frame(
-        self, packet: "av.Packet[av.VideoStream]", frame: av.VideoFrame, now_ns: int
-    ) -> None:
+    def _handle_frame(self, packet: "av.Packet[Any]", frame: av.VideoFrame, now_ns: int) -> None:
         stated_ns = self._stated_ns(packet, frame, now_ns)
         self.dated_by = "arrival" if stated_ns is None else "source"
         aspect = packet.stream.codec_context.sample_aspect_ratio

@@ -2,10 +2,9 @@
 
 import re
 import socket
-import threading
 from pathlib import Path
 from struct import unpack_from
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 import av
@@ -13,50 +12,46 @@ import av
 from kontur_av.clock import NS_PER_S, NS_PER_US, Clock, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.redaction import shown_spec
-from kontur_av.sources.live import STALL_S, LiveVideo
+from kontur_av.sources.live import STALL_S, LiveCapture, in_time
 
 #: A peer that has not answered, or shown what it sends, after this time counts as dead.
 _OPEN_S = 10.0
 #: The name of a host is looked up before, and the system's resolver cannot be interrupted.
 _LONGEST_S = _OPEN_S + 5.0
+_NO_ANSWER = f"no answer within {_OPEN_S:g} s: check its address, that it is on, and the network"
 #: Between two tries: twice as long each time, up to this; more after a refused password, because
 #: cameras lock out who tries often.
 _FIRST_PAUSE_NS, _LONGEST_PAUSE_NS, _LOCKED_OUT_NS = NS_PER_S // 2, 5 * NS_PER_S, 60 * NS_PER_S
-#: RTSP over TCP, or UDP from a server that cannot. It says what it sends, so nothing is probed.
-#: Datagrams that are out of order are waited for, for 50 ms. Sound is not asked for.
-_RTSP = {
+#: Who sends by RTP says what it is, so nothing is probed. RTSP goes over TCP, or over UDP with a
+#: server that cannot. Datagrams that are out of order are waited for, for 50 ms.
+_RTP = {
     "rtsp_transport": "tcp+udp",
     "rtsp_flags": "prefer_tcp",
     "allowed_media_types": "video",
     "probesize": "32",
     "analyzeduration": "0",
     "max_delay": "50000",
-    "reorder_queue_size": "64",
 }
-_RTP = {"max_delay": "50000", "probesize": "32", "analyzeduration": "0"}
-_SDP = {"protocol_whitelist": "file,rtp,udp", **_RTP}
+_UDP, _SDP = {"rtsp_transport": "udp"}, {"protocol_whitelist": "file,rtp,udp"}
 _PROBED = {"probesize": "500000", "analyzeduration": "500000"}
-#: By scheme: that of FFmpeg, its demuxer, its options.
-_SCHEMES: dict[str, tuple[str, str | None, dict[str, str]]] = {
-    "rtsp": ("rtsp", "rtsp", _RTSP),
-    "rtsps": ("rtsps", "rtsp", _RTSP),
-    "rtspu": ("rtsp", "rtsp", {**_RTSP, "rtsp_transport": "udp"}),
-    "http": ("http", None, _PROBED),
-    "https": ("https", None, _PROBED),
-    "srt": ("srt", "mpegts", _PROBED),
-    "udp": ("udp", "mpegts", _PROBED),
-    "rtp": ("rtp", "rtp", _RTP),
+#: By scheme: FFmpeg's demuxer, if it is known before.
+_SCHEMES = {
+    **dict.fromkeys(("rtsp", "rtsps", "rtspu"), "rtsp"),
+    **dict.fromkeys(("http", "https"), None),
+    **dict.fromkeys(("srt", "udp"), "mpegts"),
+    "rtp": "rtp",
 }
 #: These wait for a sender, so their host may be left out.
 _WAITING = ("srt", "udp", "rtp")
-_UNAUTHORIZED = (
-    "its user name or password is refused (401): give those of the camera before the host; "
-    "percent-encode what is no letter or digit"
-)
+_ENCODE = "percent-encode what is no letter or digit"
+_STALLED = f"nothing came for {STALL_S:g} s: check that it is on, and the network"
 _WHY: tuple[tuple[type[Exception], str], ...] = (
     (socket.gaierror, "there is no such host: check its name, or give its address"),
     (ConnectionRefusedError, "nothing listens there: start the server, or check the port"),
-    (av.error.HTTPUnauthorizedError, _UNAUTHORIZED),
+    (
+        av.error.HTTPUnauthorizedError,
+        f"its user name or password is refused (401): give those of the camera; {_ENCODE}",
+    ),
     (av.error.HTTPForbiddenError, "it is not allowed (403): give a user who may see it"),
     (av.error.HTTPNotFoundError, "there is no such stream (404): check what follows the host"),
     (
@@ -66,11 +61,10 @@ _WHY: tuple[tuple[type[Exception], str], ...] = (
     (av.error.HTTPServerError, "the server failed (5XX): look at its own log"),
     (
         av.error.ProtocolNotFoundError,
-        "the FFmpeg of this PyAV cannot do that; relay it to udp://127.0.0.1:PORT, "
-        "as docs/players.md shows",
+        "PyAV's FFmpeg has no such protocol: relay it to udp://127.0.0.1:PORT (docs/players.md)",
     ),
-    (TimeoutError, f"nothing came for {STALL_S:g} s: check that it is on, and the network"),
-    (av.error.ExitError, f"nothing came for {STALL_S:g} s: check that it is on, and the network"),
+    (TimeoutError, _STALLED),
+    (av.error.ExitError, _STALLED),
 )
 #: Until they are dated, and later, pictures may be this much older than their arrival, or newer.
 _FIRST_AGE_NS, _LATER_AGE_NS, _AHEAD_NS = NS_PER_S, 30 * NS_PER_S, NS_PER_S // 20
@@ -116,30 +110,28 @@ class _Address(NamedTuple):
             )
         except av.FFmpegError as error:
             if MonotonicClock.now_ns() - begin_ns > (_OPEN_S - 0.5) * NS_PER_S:
-                raise ValueError(_no_answer()) from None
+                raise ValueError(_NO_ANSWER) from None
             raise error from None
-        fault = _unfit(container)
+        streams, fault = container.streams.video, ""
+        if not streams:
+            fault = "it has no pictures: give the address of a stream that has"
+        # PyAV's type does not say that a stream may have no decoder.
+        elif getattr(streams[0], "codec_context", None) is None:
+            fault = "FFmpeg cannot decode its pictures: choose H.264, H.265 or MJPEG in the camera"
+        elif (container.duration or 0) > 0:
+            fault = "it is a film, no live stream: download it, and give the file"
         if fault:
             container.close()
             raise ValueError(fault)
         return container
 
-
-def _no_answer() -> str:
-    return f"no answer within {_OPEN_S:g} s: check its address, that it is on, and the network"
-
-
-def _unfit(container: av.container.InputContainer) -> str:
-    """Why its pictures cannot be taken; "" if they can."""
-    streams = container.streams.video
-    if not streams:
-        return "it has no pictures: give the address of a stream that has"
-    # PyAV's type does not say that a stream may have no decoder.
-    if getattr(streams[0], "codec_context", None) is None:
-        return "FFmpeg cannot decode its pictures: choose H.264, H.265 or MJPEG in the camera"
-    if container.duration and container.duration > 0:
-        return "it is a film, no live stream: download it, and give the file"
-    return ""
+    def opened_in_time(self, shown: str) -> av.container.InputContainer:
+        """Connect; ConfigError with the fix."""
+        try:
+            return in_time(self.opened, _LONGEST_S)
+        except Exception as error:
+            why = _NO_ANSWER if type(error) is TimeoutError else reason(error)
+            raise ConfigError(f"{shown}: {why}") from None
 
 
 def _parsed(spec: str) -> _Address:
@@ -147,44 +139,25 @@ def _parsed(spec: str) -> _Address:
     shown = shown_spec(spec)
     scheme, _, rest = spec.partition(":")
     scheme = scheme.lower()
-    if scheme == "rtp" and not rest.startswith("/" * 2):
+    if scheme == "rtp" and not rest.startswith("//"):
         if not Path(rest).is_file():
             raise ConfigError(f"{shown}: no such file: give an SDP file, or rtp://:PORT")
-        return _Address(rest, "", "sdp", _SDP)
-    known, demuxer, options = _SCHEMES.get(scheme, ("", None, {}))
+        return _Address(rest, "", "sdp", _RTP | _SDP)
     try:
         parts = urlsplit(spec)
         host, port = parts.hostname or "", parts.port
     except ValueError:
         host, port = "", -1
-    unfit = not known or port == -1 or re.search(r"[\s\x00-\x1f\x7f]", spec)
-    if unfit or not (host or scheme in _WAITING):
-        raise ConfigError(
-            f"{shown}: write {scheme if known else 'rtsp'}://HOST:PORT/PATH, without spaces; "
-            "percent-encode what is no letter or digit in a user name or password"
-        )
-    if scheme in _WAITING and port is None:
-        raise ConfigError(f"{shown}: the port is missing: write {scheme}://HOST:PORT")
-    return _Address(known + ":" + rest, host, demuxer, options)
-
-
-def _opened_in_time(address: _Address, shown: str) -> av.container.InputContainer:
-    """Connect; ConfigError with the fix. It never waits for ever, as FFmpeg may."""
-    outcome: list[av.container.InputContainer | Exception] = []
-
-    def attempt() -> None:
-        try:
-            outcome.append(address.opened())
-        except Exception as error:
-            outcome.append(error)
-
-    thread = threading.Thread(target=attempt, name="connection", daemon=True)
-    thread.start()
-    thread.join(_LONGEST_S)
-    result = outcome[0] if outcome else TimeoutError(_no_answer())
-    if isinstance(result, Exception):
-        raise ConfigError(f"{shown}: {reason(result)}") from None
-    return result
+    waits = scheme in _WAITING
+    unfit = scheme not in _SCHEMES or port == -1 or re.search(r"[\s\x00-\x1f\x7f]", spec)
+    if unfit or not (port if waits else host):
+        form = f"{scheme}://HOST:PORT" if waits else "rtsp://HOST:PORT/PATH"
+        raise ConfigError(f"{shown}: write {form}, without spaces; in a password, {_ENCODE}")
+    demuxer = _SCHEMES[scheme]
+    options = _RTP if demuxer in ("rtsp", "rtp") else _PROBED
+    if scheme == "rtspu":
+        scheme, options = "rtsp", options | _UDP
+    return _Address(f"{scheme}:{rest}", host, demuxer, options)
 
 
 def check_address(spec: str) -> None:
@@ -192,7 +165,7 @@ def check_address(spec: str) -> None:
 
     The check connects, as `NetworkVideo` does, and disconnects.
     """
-    _opened_in_time(_parsed(spec), shown_spec(spec)).close()
+    _parsed(spec).opened_in_time(shown_spec(spec)).close()
 
 
 class SourceDates:
@@ -212,7 +185,7 @@ class SourceDates:
         return min(stated_ns, now_ns) if self._true else None
 
 
-class NetworkVideo(LiveVideo):
+class NetworkVideo(LiveCapture):
     """Pictures from the network (a `VideoSource`): the newest one, dated by its sender if it can.
 
     A stream that ends, fails or stalls for 5 s is asked for again, with growing pauses.
@@ -242,7 +215,7 @@ class NetworkVideo(LiveVideo):
         self._dates = SourceDates()
         self._offset_ns: int | None = None
         self._refused = False
-        self._begin(_opened_in_time(self._address, self._place) if wait else None)
+        self._begin(self._address.opened_in_time(self._place) if wait else None)
 
     def _open(self) -> av.container.InputContainer:
         self._dates, self._offset_ns, self._refused = SourceDates(), None, False
@@ -255,9 +228,7 @@ class NetworkVideo(LiveVideo):
     def _pause_ns(self, failures: int) -> int:
         return pause_ns(failures, refused=self._refused)
 
-    def _stated_ns(
-        self, packet: "av.Packet[av.VideoStream]", frame: av.VideoFrame, now_ns: int
-    ) -> int | None:
+    def _stated_ns(self, packet: "av.Packet[Any]", frame: av.VideoFrame, now_ns: int) -> int | None:
         """By RTCP's sender reports (RFC 3550 section 6.4.1), which FFmpeg hands over as PRFT."""
         wall_offset_ns: int | None = getattr(self._clock, "wall_offset_ns", None)
         if wall_offset_ns is None or packet.pts is None or packet.time_base is None:

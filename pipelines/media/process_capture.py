@@ -5,7 +5,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
-from kontur_av.sources.live import LiveVideo
+from kontur_av.sources.live import LiveCapture
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, PageVideo
 from kontur_av.sources.stereo import StereoPairer
 from kontur_av.sources.user import UserSource
@@ -237,7 +237,7 @@ class _Camera:
     def _report(self) -> None:
         source = self._source
         takeover = None if self._page is None else self._takeover
-        dated_by = source.dated_by if isinstance(source, LiveVideo) else None
+        dated_by = source.dated_by if isinstance(source, LiveCapture) else None
         self._capturing.publish(source.faults, source.last_fault, takeover, dated_by)
 
 

@@ -8,7 +8,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from kontur_av.meters import Histogram
 from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
-from kontur_av.sources.live import LiveVideo
+from kontur_av.sources.live import LiveCapture
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed
@@ -127,7 +127,7 @@ class SendShell:
             source=SourceReport(
                 faults=feed.source.faults,
                 last_fault=feed.source.last_fault,
-                dated_by=feed.source.dated_by if isinstance(feed.source, LiveVideo) else None,
+                dated_by=feed.source.dated_by if isinstance(feed.source, LiveCapture) else None,
             ),
             cpu_s=time.process_time(),
             size=feed.size if isinstance(feed, PictureFeed) else None,

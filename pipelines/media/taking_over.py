@@ -131,7 +131,7 @@ class Capturing:
     ) -> None:
         """Put the counters into the probe, with the faults that the source has survived.
 
-        takeover: of the input, if pages can take it over. dated_by: of a `LiveVideo`.
+        takeover: of the input, if pages can take it over. dated_by: of a `LiveCapture`.
         """
         self._probe.publish(
             CaptureMetrics(

@@ -40,14 +40,14 @@ def main(port, user=None):
     server.set_address("127.0.0.1")
     server.set_service(port)
     server.get_mount_points().add_factory("/arm", factory)
-    permissions = GstRtspServer.RTSPPermissions()
+    allowed = GstRtspServer.RTSPPermissions()
     for right in ("access", "construct"):
-        permissions.add_permission_for_role("user", f"media.factory.{right}", True)
+        allowed.add_permission_for_role("user", f"media.factory.{right}", True)
     for path, launch in PLAYED.items():
         factory = GstRtspServer.RTSPMediaFactory.new()
         factory.set_launch(launch)
         if user:
-            factory.set_permissions(permissions)
+            factory.set_permissions(allowed)
         server.get_mount_points().add_factory(path, factory)
     if user:
         token = GstRtspServer.RTSPToken()

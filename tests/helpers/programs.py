@@ -1,13 +1,16 @@
 """Programs by other makers: a test that lacks one is skipped, and says how to get it."""
 
 import contextlib
+import importlib.util
 import shutil
 import signal
+import socket
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-from common import TIMEOUT_S
+from common import TIMEOUT_S, eventually
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 MEDIA_SERVER = Path(__file__).with_name("media_server.py")
@@ -61,3 +64,24 @@ def running(log, *command, end=signal.SIGINT, patience_s=TIMEOUT_S, **options):
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+@contextlib.contextmanager
+def media_server(log, port, *user):
+    """GStreamer's RTSP server, when it listens; killed at the end."""
+    needs_media_server()
+    needs_elements("x264enc", "x265enc", "rtph264pay", "rtph265pay")
+    with running(log, SYSTEM_PYTHON, MEDIA_SERVER, port, *user, end=signal.SIGKILL) as server:
+        eventually(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "the server")
+        yield server
+
+
+@contextlib.contextmanager
+def camera_server(log, port, kind):
+    """`network_camera`, as `media_server`."""
+    if kind == "rtsp" and importlib.util.find_spec("rtsp") is None:
+        pytest.skip("rtsp-rs: pip install -e '.[full]'")
+    camera = MEDIA_SERVER.with_name("network_camera.py")
+    with running(log, sys.executable, camera, port, kind, end=signal.SIGKILL) as server:
+        eventually(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "the camera")
+        yield server

@@ -1,10 +1,8 @@
 """Input of a session from outside: garbage on its ports, and faulty sources."""
 
-import contextlib
 import os
 import random
 import shutil
-import signal
 import socket
 import struct
 import threading
@@ -15,7 +13,7 @@ from pathlib import Path
 import pytest
 from common import free_port
 from mcap.reader import make_reader
-from programs import MEDIA_SERVER, SYSTEM_PYTHON, needs_elements, needs_media_server, running
+from programs import media_server
 from running_session import eventually, restarted
 
 from pipelines.session.setup.table import PORTS
@@ -148,23 +146,16 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
 
 
 def test_a_camera_in_the_network_comes_back_and_its_password_is_nowhere(start, tmp_path):
-    needs_media_server()
-    needs_elements("x264enc", "rtph264pay")
-    port = free_port(socket.SOCK_STREAM)
-    command = SYSTEM_PYTHON, MEDIA_SERVER, port, "bob:S3cret-1"
+    port, user = free_port(socket.SOCK_STREAM), "bob:S3cret-1"
     shown = f"rtsp://127.0.0.1:{port}/h264"
-    with contextlib.ExitStack() as stack:
-        log = tmp_path / "server.txt"
-        server = stack.enter_context(running(log, *command, end=signal.SIGKILL))
-        eventually(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "the server")
-        source = f"head={shown.replace('127', 'bob:S3cret-1@127', 1)}"
+    with media_server(tmp_path / "1.txt", port, user):
+        source = f"head=rtsp://{user}@127.0.0.1:{port}/h264"
         session = start("spacejustin", "--source", source, "--record", "a.mcap")
         session.pids()
         assert session.select("head").returncode == 0
         session.wait_for_flow()
-        server.kill()
-        eventually(lambda: f"{shown}: " in (tmp_path / "out.txt").read_text(), "the reason")
-        stack.enter_context(running(log, *command, end=signal.SIGKILL))
+    eventually(lambda: f"{shown}: " in (tmp_path / "out.txt").read_text(), "the reason")
+    with media_server(tmp_path / "2.txt", port, user):
         session.wait_for_flow()
         for pid in (session.process.pid, *session.pids().values()):
             assert b"S3cret" not in Path(f"/proc/{pid}/cmdline").read_bytes()

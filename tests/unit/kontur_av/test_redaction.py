@@ -2,6 +2,7 @@
 
 import string
 
+import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
@@ -10,7 +11,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.redaction import redacted, shown_spec
 from kontur_av.sources import network
 from kontur_av.sources.source import StampingSource
-from kontur_av.sources.spec import check_spec, open_audio
+from kontur_av.sources.spec import check_spec
 from pipelines.session.command_process import _SECRETS
 
 SECRET = "S3cret"
@@ -33,14 +34,6 @@ def addresses(draw):
     return f"{scheme}{slashes}cam:8554/1{draw(st.sampled_from(QUERIES))}{password}"
 
 
-def refusal(work, *arguments, **options):
-    try:
-        work(*arguments, **options)
-    except ConfigError as error:
-        return str(error)
-    return ""
-
-
 @given(addresses())
 @example(f"rtsp://bob:a@{SECRET}?x@cam/1")
 @example(f"http://cam/1?pwd=a@{SECRET}")
@@ -58,9 +51,11 @@ def test_no_error_fault_or_list_of_processes_has_it(address):
             shown_spec(f"head={address}"),
             source.last_fault,
             str(ConfigError(f"--source head={address!r}: no")),
-            refusal(check_spec, address, "video"),
-            refusal(open_audio, address, clock=ManualClock()),
         ]
+        for kind in ("video", "audio"):
+            with pytest.raises(ConfigError) as refused:
+                check_spec(address, kind)
+            shown.append(str(refused.value))
     finally:
         network._Address.opened = before
     octets = b"\0stream\0--source=head=" + address.encode() + b"\0"
@@ -74,6 +69,6 @@ def test_no_error_fault_or_list_of_processes_has_it(address):
 def test_host_and_path_stay_and_other_texts_are_as_they_were():
     assert shown_spec("rtsp://bob:pw@cam.lan:554/a/1") == "rtsp://cam.lan:554/a/1"
     assert redacted("'rtsp://bob:pw@[::1]:9/a': no; ask me") == "'rtsp://[::1]:9/a': no; ask me"
-    for text in ("mcap:/a=b.mcap#/x: no", "head=clip@2x.mp4?", "at http://cam:8000/x: refused"):
-        assert redacted(text) == shown_spec(text) == text or text.startswith("at ")
     assert redacted("at http://cam:8000/x: refused") == "at http://cam:8000/x: refused"
+    for text in ("mcap:/a=b.mcap#/x", "head=clip@2x.mp4?"):
+        assert redacted(text) == shown_spec(text) == text

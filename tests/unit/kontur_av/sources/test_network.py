@@ -35,7 +35,7 @@ def test_a_refused_password_is_tried_rarely_and_all_else_soon_again():
         ("rtsp://", "write rtsp://HOST:PORT/PATH"),
         ("rtsp://cam:99999/x", "write rtsp://HOST:PORT/PATH"),
         ("http://cam/a b", "without spaces"),
-        ("udp://127.0.0.1", "the port is missing"),
+        ("udp://127.0.0.1", "write udp://HOST:PORT"),
         ("rtp:none.sdp", "no such file"),
         ("network:x", "write rtsp://"),
         ("rtsp://nobody.invalid/x", "no such host"),
