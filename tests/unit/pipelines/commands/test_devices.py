@@ -2,6 +2,7 @@
 
 import errno
 import struct
+from itertools import product
 from pathlib import Path
 
 from kontur_av.sources.v4l2 import CameraMode, cameras
@@ -16,8 +17,10 @@ PCM = """\
 SCENES = {"left": "scene:left", "ground_mic": "scene:ground_voice"}
 
 
-#: Each format has the first size at 30 and 7.5 pictures a second, and a range up to the second.
-FORMATS, SIZES, RATES = [b"MJPG", b"YUYV"], [(640, 480), (1920, 1080)], [(1, 30), (2, 15)]
+FORMATS = [b"MJPG", b"YUYV"]
+#: One size, and a range up to another.
+SIZES = [struct.pack("=3I", 1, 640, 480), struct.pack("=7I", 3, 16, 1920, 2, 16, 1080, 2)]
+RATES = [struct.pack("=3I", 1, 1, 30), struct.pack("=3I", 1, 2, 15)]
 
 
 def driver(capabilities: dict[str, tuple[int, int]]):
@@ -34,15 +37,9 @@ def driver(capabilities: dict[str, tuple[int, int]]):
         (index,) = struct.unpack_from("=I", buffer)
         if index >= len(values):
             raise OSError(errno.EINVAL, "Invalid argument")
-        if request == 0xC0405602:
-            buffer[44:48] = FORMATS[index]
-        elif request == 0xC02C564A and index == 0:
-            struct.pack_into("=3I", buffer, 8, 1, *SIZES[0])
-        elif request == 0xC02C564A:
-            struct.pack_into("=7I", buffer, 8, 3, 16, SIZES[1][0], 2, 16, SIZES[1][1], 2)
-        else:
-            assert struct.unpack_from("=4sII", buffer, 4)[0] in FORMATS
-            struct.pack_into("=3I", buffer, 16, 1, *RATES[index])
+        at = {0xC0405602: 44, 0xC02C564A: 8, 0xC034564B: 16}[request]
+        assert request == 0xC0405602 or buffer[4:8] in FORMATS
+        buffer[at : at + len(values[index])] = values[index]
         return 0
 
     return ioctl
@@ -71,11 +68,10 @@ def test_cameras_are_listed_with_formats_and_only_capture_lines_are_microphones(
         (tmp_path / name).write_text(content)
     known = {"own": (0x84A00001, 0x04200001), "meta": (0x84A00001, 0x04A00000), "old": (1, 0)}
     found = cameras(tmp_path, driver(known))
+    sizes = ((640, 480), (1920, 1080))
     modes = tuple(
-        CameraMode(format_.decode(), *size, fps)
-        for format_ in FORMATS
-        for size in SIZES
-        for fps in (30.0, 7.5)
+        CameraMode(name, *size, fps)
+        for name, size, fps in product(("MJPG", "YUYV"), sizes, (30.0, 7.5))
     )
     assert [(Path(c.path).name, c.card, c.modes) for c in found] == [
         (name, "Good Camera", modes) for name in ("video0", "video10")
