@@ -9,7 +9,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import av
 
-from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources.file import set_up_decoder
 from kontur_av.sources.fit import Fitter
@@ -22,6 +22,8 @@ _Packet: TypeAlias = "av.Packet[Any]"
 STALL_S = 5.0
 #: The same, with packets that cannot be decoded: the next picture to begin with may be that far.
 _UNDECODED_S = 20.0
+#: A decoder that was busy for this long without a pause leaves pictures out.
+_BEHIND_S = 1.0
 #: What FFmpeg and PyAV raise for what a device or a peer does.
 _FAULTS = av.FFmpegError, OSError, ValueError, ArithmeticError, LookupError
 
@@ -127,7 +129,7 @@ class LiveCapture(StampingSource, ABC):
     def _read_all(self, container: av.container.InputContainer) -> None:
         stream = container.streams.video[0]
         set_up_decoder(stream)
-        last_ns = decoded_ns = self._clock.now_ns()
+        last_ns = decoded_ns = waited_ns = done_ns = self._clock.now_ns()
         before = self._decoded
         for packet in container.demux():
             now_ns = self._clock.now_ns()
@@ -140,6 +142,11 @@ class LiveCapture(StampingSource, ABC):
             if packet.stream_index != stream.index:
                 continue
             last_ns = now_ns
+            if now_ns - done_ns > NS_PER_MS:
+                waited_ns = now_ns
+            # Who need not wait for packets is too slow: key pictures alone bring it up to date.
+            behind = now_ns - waited_ns > _BEHIND_S * NS_PER_S
+            stream.codec_context.skip_frame = "NONKEY" if behind else "DEFAULT"
             try:
                 frames = packet.decode()
             except av.FFmpegError as error:
@@ -158,5 +165,6 @@ class LiveCapture(StampingSource, ABC):
                     self._decoded += 1
                     self._newest = frame, aspect, now_ns if stated_ns is None else stated_ns
                     self._arrived.notify()
+            done_ns = self._clock.now_ns()
             if now_ns - decoded_ns > _UNDECODED_S * NS_PER_S:
                 raise ValueError(f"no picture can be decoded for {_UNDECODED_S:g} s")

@@ -3,6 +3,8 @@
 import json
 import signal
 import socket
+import time
+from itertools import pairwise
 
 import pytest
 from common import TIMEOUT_S, eventually, free_port
@@ -14,6 +16,7 @@ from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture, planes
 from kontur_av.sources import check_spec, open_video
+from kontur_av.sources.network import NetworkVideo
 from pipelines.cli import main
 
 PICTURE = empty_picture(640, 480)
@@ -82,6 +85,21 @@ def test_a_stalled_server_is_reported_and_stops_no_process(tmp_path):
         # A server that only accepts connections.
         with pytest.raises(ConfigError, match="no answer within 10 s"):
             check_spec(url, "video")
+
+
+def test_a_decoder_that_is_too_slow_leaves_pictures_out(tmp_path, monkeypatch):
+    times = []
+
+    def slow(_, packet, frame, now_ns):
+        times.extend([] if frame.time is None else [frame.time])
+        time.sleep(0.05)
+
+    monkeypatch.setattr(NetworkVideo, "_stated_ns", slow)
+    port = free_port(socket.SOCK_STREAM)
+    with media_server(tmp_path / "1.txt", port):
+        source = open_video(f"rtsp://127.0.0.1:{port}/h264")
+        eventually(lambda: any(b - a > 0.1 for a, b in pairwise([*times])), "a gap")
+        source.close()
 
 
 def test_what_cannot_work_is_one_line_without_the_password(tmp_path, capsys):
