@@ -5,11 +5,19 @@ from contextlib import contextmanager
 from operator import index
 from typing import Any, TypeVar
 
+from kontur_av.redaction import redacted
+
 _Choice = TypeVar("_Choice", bound=str)
 
 
 class ConfigError(Exception):
-    """The user's mistake. Its message is one line that names the fix; commands exit with 2."""
+    """The user's mistake. Its message is one line that names the fix; commands exit with 2.
+
+    No password of an address is in it.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(redacted(message))
 
 
 class ProtocolError(Exception):

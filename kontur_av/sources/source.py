@@ -7,6 +7,7 @@ from kontur_av.clock import Clock
 from kontur_av.media import BLOCK_NS as BLOCK_NS
 from kontur_av.media import BLOCK_SAMPLES as BLOCK_SAMPLES
 from kontur_av.media import I420, AudioFrame, CaptureStamp
+from kontur_av.redaction import redacted, shown_spec
 
 #: Delay before a source tries again that lost its file, device or writer.
 RETRY_NS = 500_000_000
@@ -78,7 +79,7 @@ class StampingSource:
 
     def _fault(self, error: Exception | str) -> None:
         self.faults += 1
-        self.last_fault = f"{self._place}: {error}"
+        self.last_fault = f"{shown_spec(self._place)}: {redacted(str(error))}"
 
 
 #: (name of the input, width, height, fps, clock) -> source. `width` and `height` in pixels.

@@ -1,20 +1,22 @@
 """Opens the sources that SPECs name, as in `--source NAME=SPEC`.
 
 A SPEC is a path to a media file, or `mcap:FILE#CHANNEL`, `pipe:PATH`, `v4l2:DEVICE`, `alsa:DEVICE`,
-`scene:NAME`, or `page` or `topic` for an input of a session that only browser pages, or a joined
-program, fill. `module:Class`, or the name of an entry point of `kontur_av.sources`, is a user's
-own. All of them are called as a scene's factory is, and with what the SPEC names as last argument.
-A class's static method `check_source`, if it has one, refuses what cannot work.
+`scene:NAME`, `rtsp://…` or another address, or `page` or `topic` for an input of a session that
+only browser pages, or a joined program, fill. `module:Class`, or the name of an entry point of
+`kontur_av.sources`, is a user's own. All of them are called as a scene's factory is, and with what
+the SPEC names as last argument. A class's static method `check_source`, if it has one, refuses what
+cannot work.
 """
 
 import logging
 import os
+import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from kontur_av.clock import Clock
+from kontur_av.clock import Clock, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.media import AudioFrame, CaptureStamp, check_size
 from kontur_av.parts import PluginRegistry, find_part, make_part, names_part
@@ -29,13 +31,15 @@ from kontur_av.sources.source import (
 )
 from kontur_av.sources.user import UserSource
 
-_SCENE, _FILE = "scene", "file"
+_SCENE, _FILE, _NETWORK = "scene", "file", "network"
 #: The package's own clip of two seconds, where there is no such file.
 CLIP = "clip.mp4"
 _GROUP = "kontur_av.sources"
+#: Addresses in a network; `rtp:` may be followed by an SDP file.
+_ADDRESS = re.compile(r"(rtsp[su]?|https?|srt|udp|rtp)://|rtp:", re.IGNORECASE)
 _FORMS = (
-    "a media file, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, scene:NAME, "
-    "module:Class, page or topic"
+    "a media file, rtsp://HOST/PATH, mcap:FILE#CHANNEL, pipe:PATH, v4l2:DEVICE, alsa:DEVICE, "
+    "scene:NAME, module:Class, page or topic"
 )
 _VIDEO = PluginRegistry(
     "source",
@@ -48,6 +52,7 @@ _VIDEO = PluginRegistry(
         PAGE: "kontur_av.sources.source:PageVideo",
         TOPIC: "kontur_av.sources.source:PageVideo",
         _FILE: "kontur_av.sources.file:FileVideo",
+        _NETWORK: "kontur_av.sources.network:NetworkVideo",
     },
 )
 _AUDIO = PluginRegistry(
@@ -67,32 +72,41 @@ _AUDIO = PluginRegistry(
 def open_video(
     spec: str,
     *,
-    name: str,
-    width: int,
-    height: int,
-    fps: int,
-    clock: Clock,
+    name: str = "video",
+    width: int = 640,
+    height: int = 480,
+    fps: int = 30,
+    clock: Clock | None = None,
     scenes: Mapping[str, VideoSceneFactory] | None = None,
+    wait: bool = True,
 ) -> VideoSource:
     """Open the pictures that `spec` names, in the given size.
 
     name: the input's name, used in every stamp.
-    fps: rate of scenes and cameras; a file has its own.
+    fps: rate of scenes and cameras; a file and a stream have their own.
+    clock: by which pictures are stamped, in ns; by default CLOCK_MONOTONIC.
     scenes: factories for `scene:NAME`.
+    wait: connect to an address before this returns; else it is tried until its peer answers.
     Raises ConfigError as `check_spec` does.
     """
     check_size(width, height)
+    clock = clock or MonotonicClock()
     if (scene := _scene(spec, scenes or {})) is not None:
         return (scenes or {})[scene](name, width, height, fps, clock)
     spec = _with_kind(spec, _VIDEO)
-    pictures: VideoSource = make_part(spec, _VIDEO, name, width, height, fps, clock)
+    pictures: VideoSource = make_part(spec, _VIDEO, name, width, height, fps, clock, wait=wait)
     return UserSource(pictures, CaptureStamp, name, clock, spec) if _is_own(spec) else pictures
 
 
 def open_audio(
-    spec: str, *, name: str, clock: Clock, scenes: Mapping[str, AudioSceneFactory] | None = None
+    spec: str,
+    *,
+    name: str = "audio",
+    clock: Clock | None = None,
+    scenes: Mapping[str, AudioSceneFactory] | None = None,
 ) -> AudioSource:
     """Open the sound that `spec` names. Arguments and errors are those of `open_video`."""
+    clock = clock or MonotonicClock()
     if (scene := _scene(spec, scenes or {})) is not None:
         return (scenes or {})[scene](name, clock)
     spec = _with_kind(spec, _AUDIO)
@@ -140,13 +154,16 @@ def _with_kind(spec: str, registry: PluginRegistry) -> str:
         if colon:
             raise ConfigError(f"source {spec!r}: write {kind}")
         return spec
+    if is_address(spec):
+        kind, spec = _NETWORK, f"{_NETWORK}:{spec}"
     if colon and kind in {*_VIDEO.built_in, *_AUDIO.built_in} - {_FILE}:
         _check_text(spec)
         if kind not in registry.built_in:
             raise ConfigError(
                 f"{spec!r} is sound, this input wants pictures: give a file, pipe: or v4l2:"
                 if registry is _VIDEO
-                else f"{spec!r} is pictures, this input wants sound: give a file or alsa:DEVICE"
+                else f"{spec.removeprefix(f'{_NETWORK}:')!r} is pictures, this input wants sound: "
+                "give a file or alsa:DEVICE"
             )
         return spec
     # Unlike Path.exists, it raises nothing for a name that is too long.
@@ -154,6 +171,11 @@ def _with_kind(spec: str, registry: PluginRegistry) -> str:
     if names_part(spec, registry) and not exists:
         return spec
     return f"{_FILE}:{spec if exists else _sample(spec)}"
+
+
+def is_address(spec: str) -> bool:
+    """Return whether a SPEC names a stream in a network."""
+    return _ADDRESS.match(spec) is not None
 
 
 def _check_text(spec: str) -> None:

@@ -16,6 +16,7 @@ from kontur_av.meters import Histogram
 from kontur_av.metrics import Flat
 from kontur_av.report import Latency, Report, latency_ms
 from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
+from kontur_av.sources.live import LiveCapture
 from kontur_av.streams.budget import LEAST_BPS, MOST_BPS
 from kontur_av.streams.encoding_thread import switch_threads_often
 from kontur_av.streams.feeds import PictureFeed, SoundFeed, write_description
@@ -41,6 +42,8 @@ class SourceReport(Report, frozen=True, kw_only=True):
 
     faults: int
     last_fault: str
+    #: What dates its pictures: `source` (the camera itself) or `arrival`; of cameras only.
+    dated_by: str | None = None
 
 
 class SendReport(Report, frozen=True, kw_only=True):
@@ -88,6 +91,7 @@ class SendShell:
         self._clock = clock
         self._encoded_ns = Histogram()
         self._sent_ns = Histogram()
+        self._told_faults = 0
 
     def run(self, stopped: Callable[[], bool], seconds: float | None = None) -> SendReport:
         """Send until the time is over, `stopped`, or Ctrl-C."""
@@ -134,6 +138,10 @@ class SendShell:
     def _line(self, now_ns: int, start_ns: int) -> None:
         if self._say is None:
             return
+        source = self._feed.source
+        if source.faults > self._told_faults:
+            self._told_faults = source.faults
+            self._say(source.last_fault)
         counts, released = self._sender.counts, self._sender.released
         self._say(
             f"{(now_ns - start_ns) / NS_PER_S:6.0f} s  {counts.frames_captured} captured, "
@@ -169,7 +177,11 @@ class SendShell:
                     capture_to_sent=latency_ms(self._sent_ns),
                 )
             ),
-            source=SourceReport(faults=feed.source.faults, last_fault=feed.source.last_fault),
+            source=SourceReport(
+                faults=feed.source.faults,
+                last_fault=feed.source.last_fault,
+                dated_by=feed.source.dated_by if isinstance(feed.source, LiveCapture) else None,
+            ),
             cpu_s=time.process_time(),
             size=feed.size if isinstance(feed, PictureFeed) else None,
             coded_size=feed.coded_size if isinstance(feed, PictureFeed) else None,

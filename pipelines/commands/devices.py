@@ -1,10 +1,11 @@
 """`kontur-av devices`: the inputs of this machine, and the name of each in --source."""
 
 import argparse
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
-from pipelines.media.input_devices import cameras, microphones
+from kontur_av.sources.v4l2 import CameraMode, cameras
+from pipelines.media.input_devices import microphones
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,8 +29,9 @@ def devices(
     """Print cameras, microphones and the built-in scenes (input -> SPEC); always 0."""
     found_cameras, found_microphones = cameras(dev), microphones(asound)
     for camera in found_cameras:
-        about = camera.problem or f"{camera.card} ({', '.join(camera.formats) or 'no format'})"
-        print(f"camera      v4l2:{camera.path:<24} {about}")
+        print(f"camera      v4l2:{camera.path:<24} {camera.problem or camera.card}")
+        for line in _formats(camera.modes):
+            print(f"            {line}")
     for microphone in found_microphones:
         print(f"microphone  alsa:{microphone.device:<24} {microphone.name}")
     if not found_cameras and not found_microphones:
@@ -40,6 +42,17 @@ def devices(
         print(f"built in    {spec:<29} the default of {name}")
     print("use: kontur-av stream --source NAME=SPEC, for example --source left=v4l2:/dev/video0")
     return 0
+
+
+def _formats(modes: Iterable[CameraMode]) -> Iterator[str]:
+    """A line for each format: its sizes with the highest rate of each."""
+    formats: dict[str, dict[str, float]] = {}
+    for mode in modes:
+        sizes = formats.setdefault(mode.fourcc, {})
+        size = f"{mode.width}x{mode.height}"
+        sizes[size] = max(mode.fps, sizes.get(size, 0))
+    for fourcc, sizes in formats.items():
+        yield " ".join((fourcc, *(f"{size}@{fps:.3g}" for size, fps in sizes.items())))
 
 
 def _scenes() -> Mapping[str, str]:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from kontur_av.errors import ConfigError
+from kontur_av.redaction import shown_spec
 from pipelines.commands.common import acting_on, check_options
 from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
 from pipelines.session.command_process import stopped_by_signals
@@ -42,7 +43,7 @@ def options_of(args: StreamOptions, *, held: bool) -> RecordingOptions | None:
         link_frames=args.link_frames,
         part_s=args.part_seconds,
         part_mb=args.part_mb,
-        command=shlex.join(["kontur-av", *sys.argv[1:]]),
+        command=shlex.join(["kontur-av", *map(shown_spec, sys.argv[1:])]),
         held=held,
     )
 

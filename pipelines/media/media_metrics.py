@@ -28,6 +28,8 @@ class CaptureMetrics:
     source_fault: str | None = None
     #: `page` while a browser page has the input, else `own`; only with pages.
     live_source: str | None = None
+    #: What dates its pictures: `source` (the camera itself) or `arrival`; of cameras only.
+    dated_by: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,6 +5,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
+from kontur_av.sources.live import LiveCapture
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, PageVideo
 from kontur_av.sources.stereo import StereoPairer
 from kontur_av.sources.user import UserSource
@@ -128,6 +129,7 @@ class _Camera:
             fps=stream.fps,
             clock=context.clock,
             scenes=video_scenes(newest_state(bus, leds=leds)),
+            wait=False,
         )
         # Drawing is most of a scene's work, and needless without a reader.
         self._scene = self._source if isinstance(self._source, SceneVideo) else None
@@ -235,7 +237,8 @@ class _Camera:
     def _report(self) -> None:
         source = self._source
         takeover = None if self._page is None else self._takeover
-        self._capturing.publish(source.faults, source.last_fault, takeover)
+        dated_by = source.dated_by if isinstance(source, LiveCapture) else None
+        self._capturing.publish(source.faults, source.last_fault, takeover, dated_by)
 
 
 class _Microphone:

@@ -123,11 +123,15 @@ class Capturing:
         self._last_ns = stamp.capture_ns
 
     def publish(
-        self, faults: int = 0, last_fault: str = "", takeover: Takeover | None = None
+        self,
+        faults: int = 0,
+        last_fault: str = "",
+        takeover: Takeover | None = None,
+        dated_by: str | None = None,
     ) -> None:
         """Put the counters into the probe, with the faults that the source has survived.
 
-        takeover: of the input, if pages can take it over.
+        takeover: of the input, if pages can take it over. dated_by: of a `LiveCapture`.
         """
         self._probe.publish(
             CaptureMetrics(
@@ -138,6 +142,7 @@ class Capturing:
                 captured_ns=self._last_ns,
                 source_fault=last_fault or None,
                 live_source=None if takeover is None else takeover.live_source,
+                dated_by=dated_by,
             )
         )
 

@@ -21,6 +21,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.hosts import resolve
 from kontur_av.media import VideoCodec
+from kontur_av.redaction import shown_spec
 from pipelines.media.rtp_reports import ForwardedReport
 from pipelines.recording.matroska import CodedContainer, Remuxer, begins_stream
 from pipelines.session.command_process import say
@@ -182,7 +183,7 @@ def _checked(url: str) -> tuple[str, str]:
             "relay it, as docs/players.md shows"
         )
     resolve(host, url, "--to")
-    shown = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
+    shown = shown_spec(url)
     if scheme == "udp" and "pkt_size=" not in parts.query:
         url += ("&" if parts.query else "?") + _DATAGRAM
     return url, shown

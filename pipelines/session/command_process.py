@@ -147,8 +147,12 @@ def keep_words_apart(args: object) -> None:
                     return
 
 
-#: In the memory that `ps` shows of a command: a token, and a password in a URL.
-_SECRETS = re.compile(rb"\0--tok(?:en?)?[\0=]([^\0]+)|://[^/@\0]*:([^/@\0]+)@")
+#: In the memory that `ps` shows of a command: a token, and of an address all but its beginning.
+_SECRETS = re.compile(
+    rb"\0--tok(?:en?)?[\0=]([^\0]+)|(?:[a-z]:[/\\]{2}|\b(?:rtsp[a-z]*|rtmps?|https?|srt|rtp):)[/\\]*"
+    rb"(?:([^\0]*[?#;=&%][^\0]*)|[\w.-]*:?([^\0]*)@)",
+    re.IGNORECASE,
+)
 
 
 def hide_secrets() -> None:

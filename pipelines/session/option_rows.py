@@ -45,7 +45,8 @@ COMMON_ROWS = {
         "--token-file FILE <Path>  the same in a file, hidden from other users",
         "--token-origin https://HOST <*>  another origin that gets the token after a redirect; "
         "repeatable",
-        "--video SPEC  the picture to send: FILE, pipe:PATH, v4l2:DEVICE or scene:NAME",
+        "--video SPEC  the picture to send: FILE, rtsp://HOST/PATH, pipe:PATH, v4l2:DEVICE or "
+        "scene:NAME",
         "--audio SPEC  the voice to send: FILE, pipe:PATH, alsa:DEVICE or scene:NAME",
         "--size WxH <=640x480>  default: 640x480",
         "--fps N <int=30>  default: 30",

@@ -90,9 +90,9 @@ class StreamOptions:
     verbose: bool = _session("-v  show each process' CPU", False, rivals=("quiet",))
 
     source: tuple[str, ...] = _inputs(
-        "*NAME=SPEC  what an input captures: a media file, mcap:FILE#CHANNEL, pipe:PATH, "
-        "v4l2:DEVICE, alsa:DEVICE, scene:NAME, page for a browser page alone, or topic for a "
-        "program; repeatable"
+        "*NAME=SPEC  what an input captures: a media file, rtsp://HOST/PATH, mcap:FILE#CHANNEL, "
+        "pipe:PATH, v4l2:DEVICE, alsa:DEVICE, scene:NAME, page for a browser page alone, or topic "
+        "for a program; repeatable"
     )
 
     robot: str = _robot(

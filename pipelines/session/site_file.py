@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_origin
 
 from kontur_av.errors import ConfigError, refused
+from kontur_av.redaction import shown_spec
 from pipelines.session.options import OPTIONS, StreamOptions, flag, is_given, kinds_of
 from pipelines.session.setup.setup_file import BUILT_IN, table_of_setup
 from pipelines.session.setup.setup_text import setup_table
@@ -24,7 +25,6 @@ from telepresence.world import DEFAULT_SCENES
 COMMAND_LINE = "command line"
 #: A SPEC with the name of a file at its end.
 _WITH_FILE = re.compile(r"((?:pipe|mcap):|udp:(?:\[[^\]]+\]|[^:]+):\d+:)(.+)")
-_PASSWORD = re.compile(r"(?<=://)[^/@\s]*(?=@)")
 #: The options that change a field of the setup, if not the one of its name.
 _CHANGES = {
     "radio": ("radio", "radio_delay_ms"),
@@ -125,8 +125,8 @@ def _shown(value: object) -> str:
         return "on" if value else "off"
     text = f"{value:g}" if isinstance(value, float) else str(value)
     if isinstance(value, list | tuple):
-        text = " ".join(map(str, value))
-    return _PASSWORD.sub("…", text) or "on"
+        text = " ".join(shown_spec(str(one)) for one in value)
+    return shown_spec(text) or "on"
 
 
 def site_options(args: Namespace) -> SiteOptions:

@@ -10,6 +10,7 @@ from kontur_av.errors import ConfigError
 from kontur_av.media import BLOCK_NS, I420, CaptureStamp, VideoFrame
 from kontur_av.sources.instants import Pace
 from kontur_av.sources.source import FILLED_BY_OTHERS
+from kontur_av.sources.spec import is_address
 from kontur_av.sources.stereo import StereoPairer
 from pipelines.media.following import Choice
 from pipelines.media.media_metrics import StereoMetrics
@@ -48,10 +49,12 @@ ShowPicture = Callable[[Picture, CaptureStamp, int], None]
 def check_virtual_sources(setup: Setup) -> None:
     """ConfigError for an input that cannot be opened, or exists in real time only: a pipe, say."""
     for name in setup.inputs:
-        kind, colon, _ = setup.source(name).partition(":")
-        if (colon and kind in ("pipe", "v4l2", "alsa")) or setup.source(name) in FILLED_BY_OTHERS:
+        spec = setup.source(name)
+        kind, colon, _ = spec.partition(":")
+        live = (colon and kind in ("pipe", "v4l2", "alsa")) or is_address(spec)
+        if live or spec in FILLED_BY_OTHERS:
             raise ConfigError(
-                f"input {name}: {setup.source(name)} lives in real time; "
+                f"input {name}: {spec} lives in real time; "
                 "a simulation takes scene:NAME, a media file or mcap:FILE#CHANNEL"
             )
     check_sources(setup, setup.inputs)

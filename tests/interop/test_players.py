@@ -11,7 +11,7 @@ import pytest
 from common import TIMEOUT_S, eventually
 from media_commands import finish, ours, output_of, player, started, wait_for_line
 from positions import ROOT
-from programs import needs, needs_elements
+from programs import MEDIA_SERVER, SYSTEM_PYTHON, needs, needs_elements, needs_media_server
 from running_session import free_pair
 
 from kontur_av.rtp.sdp import StreamDescription, write_sdp
@@ -21,8 +21,6 @@ pytestmark = pytest.mark.interop
 WIDTH, HEIGHT, SECONDS = 320, 240, 2
 PICTURE_OCTETS = WIDTH * HEIGHT * 3 // 2
 CLIP = ROOT / "samples" / "clip.mp4"
-MEDIA_SERVER = ROOT / "tests" / "helpers" / "media_server.py"
-SYSTEM_PYTHON = "/usr/bin/python3"
 #: Pictures that are not shown. FFmpeg's and GStreamer's demuxers are not sure of the last ones
 #: before the end. VLC looks at a stream before it shows it.
 KEPT = {"ffmpeg": 3, "gstreamer": 1, "vlc": 20}
@@ -168,9 +166,7 @@ def test_three_players_take_the_stream_by_srt_from_gstreamers_relay(tmp_path):
 
 def test_gstreamers_media_server_records_each_picture(tmp_path):
     needs_elements("rtph264depay", "avdec_h264")
-    found = [SYSTEM_PYTHON, MEDIA_SERVER, "--check"]
-    if subprocess.run(found, stderr=subprocess.DEVNULL, check=False).returncode:
-        pytest.skip("python3-gi: apt-get install python3-gi gir1.2-gst-rtsp-server-1.0")
+    needs_media_server()
     port = free_pair()
     with player(SYSTEM_PYTHON, MEDIA_SERVER, port) as server:
         wait_until_bound(port, socket.SOCK_STREAM)

@@ -42,7 +42,9 @@ SHELL_FOLDERS = ("pipelines/commands/",)
 #: The other shells: they open a door, read files, or use a module that does. All others are cores.
 SHELLS = {
     "kontur_av": "clock hosts",
-    "kontur_av/sources": "camera file looped microphone pipe recording scene source spec user",
+    "kontur_av/sources": (
+        "camera file live looped microphone network pipe recording scene source spec user v4l2"
+    ),
     "kontur_av/streams": "decoding encoding_thread ends feeds loudspeaker sending udp",
     "kontur_av/topics": "bus file_node iceoryx_node notifier session_files",
     "pipelines": "cli",

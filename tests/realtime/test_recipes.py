@@ -33,12 +33,11 @@ def test_no_recipe_has_more_than_six_lines():
 
 def received(port, send, **how):
     """What a receiver gets of the stream that `send` sends to `port`."""
-    with ka.StreamReceiver(port=port, **how) as stream:
-        with ThreadPoolExecutor() as pool:
-            sending = pool.submit(send)
-            sending.add_done_callback(lambda done: done.exception() and stream.close())
-            items = list(stream)
-            sending.result()
+    with ka.StreamReceiver(port=port, **how) as stream, ThreadPoolExecutor() as pool:
+        sending = pool.submit(send)
+        sending.add_done_callback(lambda done: done.exception() and stream.close())
+        items = list(stream)
+        sending.result()
     assert stream.ended == "goodbye"
     return items
 

@@ -8,8 +8,12 @@ import struct
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from common import free_port
+from mcap.reader import make_reader
+from programs import media_server
 from running_session import eventually, restarted
 
 from pipelines.session.setup.table import PORTS
@@ -139,3 +143,30 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
     assert "writer has gone" in processes["camera_head"]["source_fault"]
     assert restarted(report) == {}
     session.assert_nothing_left()
+
+
+def test_a_camera_in_the_network_comes_back_and_its_password_is_nowhere(start, tmp_path):
+    port, user = free_port(socket.SOCK_STREAM), "bob:S3cret-1"
+    shown = f"rtsp://127.0.0.1:{port}/h264"
+    with media_server(tmp_path / "1.txt", port, user):
+        source = f"head=rtsp://{user}@127.0.0.1:{port}/h264"
+        session = start("spacejustin", "--source", source, "--record", "a.mcap")
+        session.pids()
+        assert session.select("head").returncode == 0
+        session.wait_for_flow()
+    eventually(lambda: f"{shown}: " in (tmp_path / "out.txt").read_text(), "the reason")
+    with media_server(tmp_path / "2.txt", port, user):
+        session.wait_for_flow()
+        for pid in (session.process.pid, *session.pids().values()):
+            assert b"S3cret" not in Path(f"/proc/{pid}/cmdline").read_bytes()
+        report = session.finish(sound=True)
+    camera = report["processes"]["camera_head"]
+    assert camera["restarts"] == 0 and camera["counts"]["source_faults"] >= 1
+    assert camera["dated_by"] in ("source", "arrival")
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file)
+        kept = b"".join(message.data for *_, message in reader.iter_messages())
+        kept += "".join(str(each.metadata) for each in reader.iter_metadata()).encode()
+    assert shown.encode() in kept
+    written = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
+    assert not any(b"S3cret" in octets for octets in (kept, *written))

@@ -11,6 +11,7 @@ from types import UnionType
 from typing import Any, Literal, get_args, get_origin
 
 from kontur_av.media import parse_size
+from kontur_av.redaction import shown_spec
 from pipelines.session.setup.table import RtcLeg, Setup, VideoStream, VoiceStream
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.profile import RadioProfile
@@ -88,8 +89,11 @@ def _profile(profile: LinkProfile, frame_octets: int | None) -> LinkProfile:
 
 
 def setup_table(setup: Setup) -> Mapping[str, Any]:
-    """Every field of a setup as its file has it. A radio that is not built in is only its name."""
-    sources = {name: setup.source(name) for name in setup.inputs}
+    """Every field of a setup as its file has it, without passwords of sources.
+
+    A radio that is not built in is only its name.
+    """
+    sources = {name: shown_spec(setup.source(name)) for name in setup.inputs}
     return {**_written(setup), "radio": setup.radio_profile.name, "sources": sources}
 
 
