@@ -4,7 +4,7 @@ import secrets
 from typing import Literal
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
-from kontur_av.codecs.coding import REFRESH_S, coded_rate_for
+from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S, coded_rate_for
 from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import Search
 from kontur_av.codecs.h26x import encoder_of, settings_of
@@ -72,21 +72,21 @@ class PictureFeed:
         width, height = size
         coded_hz = coded_rate_for(fps, cap_bps)
 
-        def make(coded: tuple[int, int] | None) -> VideoEncoder:
+        def make(coded: tuple[int, int] | None, usual_s: float) -> VideoEncoder:
             return encoder_of(codec)(
                 width=width,
                 height=height,
                 fps=coded_hz,
                 cap_bps=cap_bps,
                 coded_size=coded,
-                refresh_s=REFRESH_S if refresh_s is None else refresh_s,
+                refresh_s=usual_s if refresh_s is None else refresh_s,
                 search=search,
                 regions=regions,
             )
 
         #: Where pictures are coded finer, of a feed with `regions`.
         self.focus: Focus | None = None
-        encoder = make(coded_size)
+        encoder = make(coded_size, REFRESH_S)
         self.size, self.coded_size = size, encoder.coded_size
         #: Of which library, in words.
         self.encoder = settings_of(codec).encoder_in_use()
@@ -101,14 +101,15 @@ class PictureFeed:
             capture_time_id=_CAPTURE_TIME_ID,
             adapt_refresh=refresh_s is None,
         )
-        # The SDP must exist before the first packet. A second encoder of the same settings has the
-        # same parameter sets, and the real one still begins with the first real picture. A third
-        # shows the level that pictures may grow to.
-        self.parameter_sets = _parameter_sets(make(coded_size))
+        # The SDP must exist before the first packet. A second encoder has the parameter sets of the
+        # first picture, before which the sender makes the refresh slow. The real one still begins
+        # with that picture. A third shows the level that pictures may grow to.
+        self.parameter_sets = _parameter_sets(make(coded_size, SLOW_REFRESH_S))
         self.codec: VideoCodec = codec
         self.profile_level_id = ""
         if codec == "h264":
-            self.profile_level_id = profile_level_id(_parameter_sets(make(encoder.largest_size)))
+            largest = make(encoder.largest_size, SLOW_REFRESH_S)
+            self.profile_level_id = profile_level_id(_parameter_sets(largest))
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
         self._clock = clock

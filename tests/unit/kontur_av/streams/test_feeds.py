@@ -65,6 +65,8 @@ def test_pictures_come_out_as_they_went_in(codec, monkeypatch):
             decoding.receiver.handle_timeout(clock.now_ns() + 39 * NS_PER_MS)
             for unit, shown in decoding.units():
                 assert unit.codec == codec
+                # The first picture has the parameter sets of the SDP.
+                assert seen or all(one in unit.data for one in stream.parameter_sets)
                 seen += [
                     (p.to_i420()[: SIZE[1]].mean(), stamp, p.width, p.height) for p, stamp in shown
                 ]
