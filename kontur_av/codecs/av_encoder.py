@@ -65,6 +65,9 @@ class OpenEncoder(Protocol):
     def follow(self, options: dict[str, str]) -> bool:
         """Take another rate and buffer without a key picture; False if it cannot."""
 
+    def invalidate(self, lost: int) -> bool:
+        """Refer no more to the newest pictures, as many as `lost`; False if that cannot be done."""
+
 
 class AvEncoder:
     """An `OpenEncoder`. Raises ConfigError if PyAV lacks the library, or it refuses the options."""
@@ -125,6 +128,9 @@ class AvEncoder:
         return self.encode(grey, 0, (), keyframe=True).data
 
     def follow(self, options: dict[str, str]) -> bool:
+        return False
+
+    def invalidate(self, lost: int) -> bool:
         return False
 
 

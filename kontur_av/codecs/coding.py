@@ -14,8 +14,10 @@ MACROBLOCK = 16 * 16
 #: The time from one refresh wave to the next. A loss is healed at the end of the next wave: after
 #: three seconds at most. docs/experiments/video.md has what other times cost.
 REFRESH_S = 2.0
-#: The same time while the receiver can ask for a key picture (RFC 4585). Each wave costs a picture
-#: that stands up to 10 dB for two seconds. It heals damage that no decoder finds.
+#: The same time while the receiver can ask for a whole picture (RFC 4585). Then key pictures renew
+#: the picture: of H.264, because x264 refers to earlier pictures after a loss only without waves.
+#: Each costs a picture that stands up to 10 dB for two seconds. It heals damage that no decoder
+#: finds.
 SLOW_REFRESH_S = 60.0
 
 
@@ -27,6 +29,8 @@ class Coding(NamedTuple):
     rate_hz: the picture rate from now on.
     refresh_s: the time from one refresh wave to the next from now on.
     cap_bps: the cap from now on.
+    lost: refer to none of the newest pictures, as many as these. It is a key picture where the
+        encoder cannot do that.
 
     None leaves a value as it is. Another rate or refresh makes this picture a key picture; another
     cap does, too, where PyAV codes it (`encoder_settings.EncoderSettings.encoder_in_use`).
@@ -36,6 +40,7 @@ class Coding(NamedTuple):
     rate_hz: float | None = None
     refresh_s: float | None = None
     cap_bps: int | None = None
+    lost: int | None = None
 
 
 #: What to prefer on a thin channel: pictures that arrive sooner, or better ones.

@@ -174,6 +174,9 @@ class VideoDecoder:
             self._without_picture += 1
             if self._is_stuck:
                 self._count_undecoded()
+        elif self.counts.frames_decoded and not self._reordered:
+            # Where a loss hides that frame_num began anew, FFmpeg takes pictures for past ones.
+            self._count_undecoded()
         if not self._reordered and any(frame.pts != timestamp for frame in frames):
             self._codec = _open_decoder(self._name)
             self.counts.decoder_restarts += 1

@@ -52,6 +52,17 @@ class CodedPicture(NamedTuple):
         return samples * (1 if self.bits <= 8 else 2)
 
 
+class FrameNumbers(NamedTuple):
+    """How an SPS of H.264 has slices number their pictures.
+
+    bits: of frame_num. order: pic_order_cnt_type. kept: max_num_ref_frames.
+    """
+
+    bits: int
+    order: int
+    kept: int
+
+
 class _Bits:
     def __init__(self, data: bytes) -> None:
         data = data[:_MOST_SPS_OCTETS]
@@ -89,17 +100,33 @@ def read_sps(nal_unit: bytes, codec: VideoCodec) -> CodedPicture:
     plain = body.replace(b"\0\0\3", b"\0\0")
     if codec == "h265":
         return _read_h265(_Bits(plain))
-    found = _read_h264(_Bits(plain))
+    found = _read_h264(_Bits(plain))[0]
     if plain != body:
         # FFmpeg reads an SPS again with its escapes, if it cannot without.
         try:
-            return max(found, _read_h264(_Bits(body)), key=lambda one: one.octets)
+            return max(found, _read_h264(_Bits(body))[0], key=lambda one: one.octets)
         except ProtocolError:
             pass
     return found
 
 
-def _read_h264(bits: _Bits) -> CodedPicture:
+def read_frame_numbers(sps: bytes) -> FrameNumbers:
+    """Return what an SPS of H.264 says of frame_num; ProtocolError if it is malformed."""
+    if not sps or sps[0] & 0x1F != 7:
+        raise ProtocolError("not an SPS of H.264")
+    return _read_h264(_Bits(sps[1:].replace(b"\0\0\3", b"\0\0")))[1]
+
+
+def read_frame_num(nal_unit: bytes, size: int) -> int:
+    """Return frame_num, of `size` bits, of a slice of H.264 (clause 7.3.3); ProtocolError."""
+    # The fields before it take 16 octets at most.
+    bits = _Bits(nal_unit[1:32].replace(b"\0\0\3", b"\0\0"))
+    for _ in ("first_mb_in_slice", "slice_type", "pic_parameter_set_id"):
+        bits.ue()
+    return bits.u(size)
+
+
+def _read_h264(bits: _Bits) -> tuple[CodedPicture, FrameNumbers]:
     """Read seq_parameter_set_data (ITU-T H.264 clause 7.3.2.1.1) up to the size."""
     profile, chroma, depth = bits.u(8), 1, 8
     bits.u(16)
@@ -116,7 +143,7 @@ def _read_h264(bits: _Bits) -> CodedPicture:
             for number in range(12 if chroma == 3 else 8):
                 if bits.u(1):
                     _pass_scaling_list(bits, 16 if number < 6 else 64)
-    bits.ue(12)
+    number_bits = bits.ue(12) + 4
     if (order := bits.ue(2)) == 0:
         bits.ue(12)
     elif order == 1:
@@ -125,11 +152,12 @@ def _read_h264(bits: _Bits) -> CodedPicture:
         bits.se()
         for _ in range(bits.ue(255)):
             bits.se()
-    bits.ue(16)
+    kept = bits.ue(16)
     bits.u(1)
     width, rows = bits.ue() + 1, bits.ue() + 1
     frames_only = bits.u(1)
-    return CodedPicture(16 * width, 16 * rows * (2 - frames_only), chroma, depth)
+    picture = CodedPicture(16 * width, 16 * rows * (2 - frames_only), chroma, depth)
+    return picture, FrameNumbers(number_bits, order, kept)
 
 
 def _pass_scaling_list(bits: _Bits, count: int) -> None:

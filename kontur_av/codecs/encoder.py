@@ -2,7 +2,8 @@
 
 One access unit comes out for each picture in. A column of intra-coded blocks moves through the
 picture, in place of large key pictures: so each access unit takes about the same time on the
-channel. Every wave begins with parameter sets and a recovery point SEI for late decoders.
+channel. Every wave begins with parameter sets and a recovery point SEI for late decoders. A slow
+refresh is a key picture instead.
 """
 
 from dataclasses import replace
@@ -176,8 +177,9 @@ class VideoEncoder:
             )
         if frame.data.dtype != np.uint8:
             raise ValueError(f"picture of {frame.data.dtype}: take uint8")
-        force_keyframe = coding.keyframe
         self._follow(coding)
+        heals = coding.lost is not None and self._codec.invalidate(coding.lost)
+        force_keyframe = coding.keyframe or (coding.lost is not None and not heals)
         data = np.ascontiguousarray(frame.data)
         if self._cuts is not None:
             # Imported late: OpenCV takes longer to load than all the rest of a receiver.
@@ -218,7 +220,7 @@ class VideoEncoder:
         self._quantiser = coded.quantiser
         self.encoded += 1
         octets, keyframe = self._finished(coded)
-        return AccessUnit(octets, frame.stamp, keyframe, self.codec)
+        return AccessUnit(octets, frame.stamp, keyframe, self.codec, heals and not keyframe)
 
     def _finished(self, coded: EncodedPicture) -> tuple[bytes, bool]:
         """Return an access unit, and whether every decoder can start at it."""
@@ -242,7 +244,7 @@ class VideoEncoder:
         """Open a new encoder if `coding` changes rate or refresh, or the cap and the present one
         cannot follow; the coded size stays.
         """
-        _, rate_hz, refresh_s, cap_bps = coding
+        _, rate_hz, refresh_s, cap_bps, _ = coding
         if rate_hz is None and refresh_s is None and cap_bps is None:
             return
         if rate_hz is not None:

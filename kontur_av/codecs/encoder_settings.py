@@ -10,7 +10,7 @@ from typing import ClassVar, Literal, get_args
 
 from kontur_av.codecs import x264
 from kontur_av.codecs.av_encoder import AvEncoder, OpenEncoder
-from kontur_av.codecs.coding import BITS_PER_MACROBLOCK, MACROBLOCK
+from kontur_av.codecs.coding import BITS_PER_MACROBLOCK, MACROBLOCK, SLOW_REFRESH_S
 
 #: How long the encoder searches in large pictures. Small ones are always searched thoroughly.
 Search = Literal["quick", "thorough"]
@@ -124,6 +124,9 @@ _X264_THIN = f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=dia:subme=6:trellis=1:qpstep=8"
 _X264_WIDE = f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=hex:subme=2:trellis=0:qpstep=8"
 #: Twice the time, and 0.8 to 1.4 dB more at 512 kbit/s, where pictures have 36 to 46 dB.
 _X264_WIDE_THOROUGH = f"{_X264_ALWAYS}:{_X264_BLOCKS}:me=hex:subme=6:trellis=1:qpstep=8"
+#: A decoder keeps at most 16 pictures (ITU-T H.264 clause A.3.1), and at level 3.1 so many
+#: macroblocks (MaxDpbMbs, table A-1).
+_MOST_KEPT, _MOST_KEPT_BLOCKS = 16, 18_000
 
 
 class H264Settings(EncoderSettings):
@@ -131,6 +134,14 @@ class H264Settings(EncoderSettings):
 
     library: ClassVar[str] = "libx264"
     _share_fill: ClassVar[Fraction] = Fraction(135, 100)
+
+    @property
+    def kept_pictures(self) -> int:
+        """Pictures that decoders keep for a loss; 0 with waves, which x264 cannot combine."""
+        if self.refresh_s < SLOW_REFRESH_S:
+            return 0
+        blocks = ceil(self.width / 16) * ceil(self.height / 16)
+        return max(min(_MOST_KEPT, _MOST_KEPT_BLOCKS // blocks), 1)
 
     @classmethod
     def encoder_in_use(cls) -> str:
@@ -150,10 +161,12 @@ class H264Settings(EncoderSettings):
         wide = _X264_WIDE_THOROUGH if self.search == "thorough" else _X264_WIDE
         parameters = _X264_THIN if self.is_thin else wide
         parameters += f":qpmax={self.coarsest}{_X264_REGIONS * self.regions}"
+        if kept := self.kept_pictures:
+            parameters += f":dpb-size={kept}"
         return {
             "preset": self.preset or "superfast",
             "tune": "zerolatency",
-            "intra-refresh": "1",
+            "intra-refresh": "0" if kept else "1",
             **self.buffer_model(),
             "x264-params": parameters,
         }

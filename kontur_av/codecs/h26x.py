@@ -14,7 +14,7 @@ _SEI_USER_DATA_UNREGISTERED = 5
 
 
 class H264Encoder(VideoEncoder):
-    """Encodes by libx264; see `VideoEncoder`."""
+    """Encodes by libx264; see `VideoEncoder`. A refresh of 60 s and more is a key picture."""
 
     codec: ClassVar[VideoCodec] = "h264"
     _settings_of: ClassVar[type[EncoderSettings]] = H264Settings

@@ -1,11 +1,16 @@
-"""Which pictures are damaged after a loss, and when the intra refresh has healed them."""
+"""Which pictures are damaged after a loss, and when later ones are whole again."""
+
+from collections.abc import Iterator
 
 from kontur_av.media import VIDEO_CLOCK_HZ, VideoCodec
-from kontur_av.rtp.annex_b import split_annex_b
+from kontur_av.modular import serial_difference
+from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.nal_formats import NAL_FORMATS
 
-_SEI_RECOVERY_POINT = 6  # ITU-T H.264 table D-1
+_SEI_USER_DATA, _SEI_RECOVERY_POINT = 5, 6  # ITU-T H.264 table D-1
+#: uuid_iso_iec_11578 of `healing_message`, drawn at random.
+_HEALING = bytes.fromhex("5d2f8a61c47b4e9ab3f6d81ce29047a5")
 
 
 class Healing:
@@ -14,10 +19,13 @@ class Healing:
     A loss damages every later picture, because each is predicted from the one before. An IDR
     picture heals at once. A recovery point SEI (ITU-T H.264 clause D.2.8) names the number of
     pictures after which all are right again, if none is lost. Pictures shown before that one, but
-    coded after it (B pictures of an open GOP), may still refer to damaged ones.
+    coded after it (B pictures of an open GOP), may still refer to damaged ones. A
+    `healing_message` heals at once if it names a picture that is whole.
     """
 
     def __init__(self) -> None:
+        #: RTP timestamp of the newest picture that was decoded exactly.
+        self.whole: int | None = None
         self._damaged = False
         self._left: int | None = None
         #: RTP timestamp of the picture at which the last wave ended, until later ones come.
@@ -56,6 +64,9 @@ class Healing:
             self._healed_at = None
         if not self._damaged or unit.damaged:
             return self._damaged
+        if self._heals(unit):
+            self._damaged, self._left = False, None
+            return False
         if self._left is None:
             self._left = 0 if unit.keyframe else recovery_pictures(unit.data, unit.codec)
         else:
@@ -65,6 +76,12 @@ class Healing:
             self._left = None
             self._healed_at = None if unit.keyframe else unit.timestamp
         return self._damaged
+
+    def _heals(self, unit: ReceivedUnit) -> bool:
+        if self.whole is None or unit.codec != "h264":
+            return False
+        refers_to = newest_reference(unit.data)
+        return refers_to is not None and serial_difference(self.whole - refers_to) >= 0
 
     def lacks_references(self, unit: ReceivedUnit) -> bool:
         """Return whether `unit`, the last one handled, refers to pictures that are not right.
@@ -81,27 +98,48 @@ def recovery_pictures(access_unit: bytes, codec: VideoCodec = "h264") -> int | N
     HEVC counts pictures in display order (ITU-T H.265 clause D.3.8), which is the same without B
     pictures.
     """
+    for kind, payload in _messages(access_unit, codec):
+        if kind == _SEI_RECOVERY_POINT and (coded := _exp_golomb(payload)) is not None:
+            # se(v) of a count that is not negative is 0, 1, 3, 5 … (clause 9.2.2 of H.265).
+            return (coded + 1) // 2 if codec == "h265" else coded
+    return None
+
+
+def healing_message(refers_to: int) -> bytes:
+    """Return an SEI for H.264, as Annex B: this picture and later ones refer to none between.
+
+    refers_to: 32-bit RTP timestamp of a picture. Between it and this one lie those that they do not
+    refer to. The message is user data (ITU-T H.264 clause D.2.7): a UUID, then the timestamp in 5
+    octets of 7 bits, the highest bit of each set, so that none needs emulation prevention.
+    """
+    coded = bytes(refers_to >> shift & 0x7F | 0x80 for shift in (28, 21, 14, 7, 0))
+    payload = _HEALING + coded
+    return join_annex_b([bytes((6, _SEI_USER_DATA, len(payload))) + payload + b"\x80"])
+
+
+def newest_reference(access_unit: bytes) -> int | None:
+    """Return the RTP timestamp of the `healing_message` in an access unit; None if it has none."""
+    for kind, payload in _messages(access_unit, "h264"):
+        if kind == _SEI_USER_DATA and payload[:16] == _HEALING and len(payload) == 21:
+            found = 0
+            for octet in payload[16:]:
+                found = found << 7 | octet & 0x7F
+            return found & 0xFFFF_FFFF
+    return None
+
+
+def _messages(access_unit: bytes, codec: VideoCodec) -> Iterator[tuple[int, bytes]]:
+    """Yield payloadType and payload of each SEI message (ITU-T H.264 clause 7.3.2.3.1)."""
     form = NAL_FORMATS[codec]
     for nal in split_annex_b(access_unit):
-        if form.nal_type(nal) == form.sei:
-            messages = nal[form.header_octets :].replace(b"\0\0\3", b"\0\0")
-            found = _recovery_point(messages, signed=codec == "h265")
-            if found is not None:
-                return found
-    return None
-
-
-def _recovery_point(messages: bytes, *, signed: bool) -> int | None:
-    at = 0
-    while at + 2 <= len(messages):
-        kind, at = _number(messages, at)
-        size, at = _number(messages, at)
-        if kind == _SEI_RECOVERY_POINT:
-            coded = _exp_golomb(messages[at : at + size])
-            # se(v) of a count that is not negative is 0, 1, 3, 5 … (clause 9.2.2 of H.265).
-            return (coded + 1) // 2 if signed and coded is not None else coded
-        at += size
-    return None
+        if form.nal_type(nal) != form.sei:
+            continue
+        messages, at = nal[form.header_octets :].replace(b"\0\0\3", b"\0\0"), 0
+        while at + 2 <= len(messages):
+            kind, at = _number(messages, at)
+            size, at = _number(messages, at)
+            yield kind, messages[at : at + size]
+            at += size
 
 
 def _number(messages: bytes, at: int) -> tuple[int, int]:

@@ -1,6 +1,7 @@
 """libx264 itself, by ctypes, for what PyAV does not pass on.
 
 Cap and rate change without a key picture, and each macroblock may have a quantiser of its own.
+After a loss, pictures refer to those before it.
 The library is the one in PyAV's wheel, or else the system's; x264.h names the structures.
 """
 
@@ -54,6 +55,7 @@ _ARGUMENTS = {
     "encoder_reconfig": (c_void_p, c_void_p),
     "encoder_headers": (c_void_p,) * 3,
     "encoder_encode": (c_void_p,) * 5,
+    "encoder_invalidate_reference": (c_void_p, c_int64),
     "encoder_close": (c_void_p,),
 }
 
@@ -153,6 +155,10 @@ class X264Encoder:
         image.csp, image.planes = _CSP_I420, 3
         image.strides[:3] = width, width // 2, width // 2
         self._nals, self._count = POINTER(_Nal)(), c_int()
+        self._number = self._key = 0
+        found = re.search(r"dpb-size=(\d+)", options["x264-params"])
+        #: Pictures to which a picture may refer; 0: after a loss, a key picture is needed.
+        self._kept = int(found[1]) if found else 0
         self._parts: Sequence[FinerPart] = ()
         self._finer = np.zeros((-(-height // BLOCK), -(-width // BLOCK)), np.float32)
 
@@ -171,6 +177,9 @@ class X264Encoder:
         )
         if taken <= 0:
             raise RuntimeError(f"libx264 made no access unit ({taken})")
+        self._number = number
+        if coded.keyframe:
+            self._key = number
         data = string_at(self._nals[0].payload, taken)
         squares = luma * 255.0**2 / 10 ** (coded.properties.psnr[0] / 10)
         return EncodedPicture(data, bool(coded.keyframe), coded.quantiser_plus_1 - 1.0, squares)
@@ -184,6 +193,13 @@ class X264Encoder:
     def follow(self, options: dict[str, str]) -> bool:
         self._set(_rates(options))
         return bool(self._x264.x264_encoder_reconfig(self._encoder, self._param) == 0)
+
+    def invalidate(self, lost: int) -> bool:
+        whole = self._number - lost
+        if lost >= self._kept or whole < self._key:
+            return False
+        first = whole + 1
+        return bool(self._x264.x264_encoder_invalidate_reference(self._encoder, first) == 0)
 
     def _mark(self, parts: Sequence[FinerPart]) -> None:
         self._parts = parts

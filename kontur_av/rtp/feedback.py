@@ -8,13 +8,21 @@ Some receivers, such as ffplay, send receiver reports (RFC 3550 section 6.4.2) b
 receiver in them, and packets lost since the last one, ask for a key picture, too. Reports of a
 receiver that sends PLIs, and of this software, ask for nothing.
 
+Behind a PLI stands, once a picture was whole, an application layer feedback message (RFC 4585
+section 6.4): the unique identifier KAVL, then the RTP timestamps of the newest picture that came
+and of the newest one that is whole. So the sender need not code a key picture, and knows whether
+its last answer had come: 24 octets.
+
 A REMB is the receiver's estimate of the largest rate (draft-alvestrand-rmcat-remb-03).
 """
 
+import struct
 from collections import OrderedDict
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
+from kontur_av.modular import serial_difference
 from kontur_av.rtp.reports import ReportTimer
 from kontur_av.rtp.rtcp import (
     RTCP_PSFB_APP,
@@ -39,6 +47,26 @@ ANSWER_ONCE_NS = 100 * NS_PER_MS
 REPORTED_AGAIN_NS = 2 * NS_PER_S
 #: The most receivers whose losses are remembered; the oldest is dropped.
 _MOST_REPORTERS = 16
+_WHOLE = struct.Struct("!4sII")
+_WHOLE_IDENTIFIER = b"KAVL"
+
+
+class WholePicture(NamedTuple):
+    """What a receiver with damaged pictures has. RTP timestamps.
+
+    newest: of the newest picture that came. whole: of the newest one that was decoded exactly.
+    """
+
+    newest: int
+    whole: int
+
+
+def whole_of(packet: RtcpPsfbPacket) -> WholePicture | None:
+    """Return what a feedback message tells; None if it is of another kind."""
+    named = packet.fmt == RTCP_PSFB_APP and packet.fci[:4] == _WHOLE_IDENTIFIER
+    if not named or len(packet.fci) != _WHOLE.size:
+        return None
+    return WholePicture(*_WHOLE.unpack(packet.fci)[1:])
 
 
 class ReceptionReporter:
@@ -106,13 +134,18 @@ class PictureLossReporter:
         elif self._due_ns is None:
             self._due_ns = now_ns
 
-    def poll_transmit(self, now_ns: int) -> bytes | None:
-        """Return the indication to send now, or None."""
+    def poll_transmit(self, now_ns: int, has: WholePicture | None = None) -> bytes | None:
+        """Return the indication to send now, or None. has: told with it."""
         if self._due_ns is None or now_ns < self._due_ns:
             return None
         self._due_ns = now_ns + self._ask_again_ns
         self.sent += 1
-        return bytes(RtcpPsfbPacket(RTCP_PSFB_PLI, self._ssrc, self._media_ssrc))
+        ends = self._ssrc, self._media_ssrc
+        asked = bytes(RtcpPsfbPacket(RTCP_PSFB_PLI, *ends))
+        if has is None:
+            return asked
+        fci = _WHOLE.pack(_WHOLE_IDENTIFIER, *has)
+        return asked + bytes(RtcpPsfbPacket(RTCP_PSFB_APP, *ends, fci))
 
     def poll_timeout(self) -> int | None:
         """Return when `poll_transmit` has an indication; None while pictures are whole."""
@@ -127,6 +160,11 @@ class PictureLossListener:
         self._answer_once_ns = answer_once_ns
         self._answered_ns: int | None = None
         self._asked = False
+        #: Of receivers that told what they have, since the last answer.
+        self._have: list[WholePicture] = []
+        self._answer: int | None = None
+        #: RTP timestamp of the newest picture that is whole for all that asked; None: not known.
+        self.whole: int | None = None
         #: Of each receiver by its SSRC: the packets it has lost; None: it sends PLIs.
         self._lost: OrderedDict[int, int | None] = OrderedDict()
         #: When a report was answered.
@@ -149,16 +187,19 @@ class PictureLossListener:
                 for chunk in packet.chunks:
                     if (SDES_TOOL, TOOL) in chunk.items:
                         self._remember(chunk.ssrc, None)
-        for packet in packets:
-            if (
-                isinstance(packet, RtcpPsfbPacket)
-                and packet.fmt == RTCP_PSFB_PLI
-                and packet.media_ssrc == self._ssrc
-            ):
+        own = [packet for packet in packets if isinstance(packet, RtcpPsfbPacket)]
+        own = [packet for packet in own if packet.media_ssrc == self._ssrc]
+        have = {packet.ssrc: has for packet in own if (has := whole_of(packet)) is not None}
+        for packet in own:
+            if packet.fmt == RTCP_PSFB_PLI:
                 self.received += 1
-                self._asked = True
                 self._remember(packet.ssrc, None)
-            elif isinstance(packet, RtcpRrPacket):
+                if packet.ssrc in have and len(self._have) < _MOST_REPORTERS:
+                    self._have.append(have[packet.ssrc])
+                else:
+                    self._asked = True
+        for packet in packets:
+            if isinstance(packet, RtcpRrPacket):
                 for report in packet.reports:
                     if report.ssrc == self._ssrc:
                         self._handle_report(packet.ssrc, report.packets_lost, now_ns)
@@ -179,15 +220,35 @@ class PictureLossListener:
             self._lost.popitem(last=False)
 
     def take(self, now_ns: int) -> bool:
-        """Return whether to encode the next picture as a key picture. Call it for each picture."""
-        if not self._asked:
+        """Return whether the next picture is to mend a loss. Call it for each picture.
+
+        A key picture always does; one that refers to pictures up to `whole` does, if it is known.
+        """
+        have = [one for one in self._have if self._unanswered(one)]
+        asked, self._asked, self.whole = self._asked, False, None
+        keyed_ns = self._answered_ns
+        soon = keyed_ns is not None and now_ns - keyed_ns < self._answer_once_ns
+        self._have = have if soon and not asked else []
+        if soon or not (asked or have):
             return False
-        answered_ns = self._answered_ns
-        self._asked = False
-        if answered_ns is not None and now_ns - answered_ns < self._answer_once_ns:
-            return False
-        self._answered_ns = now_ns
+        if asked:
+            self._answered_ns = now_ns
+        else:
+            first = have[0].whole
+            self.whole = min(
+                (one.whole for one in have), key=lambda at: serial_difference(at - first)
+            )
         return True
+
+    def handle_answer(self, timestamp: int, now_ns: int, *, key: bool) -> None:
+        """A picture of this RTP timestamp mends all losses before it. key: as a key picture."""
+        self._answer = timestamp
+        if key:
+            self._answered_ns = now_ns
+
+    def _unanswered(self, has: WholePicture) -> bool:
+        """Return whether a receiver had seen the last answer."""
+        return self._answer is None or serial_difference(has.newest - self._answer) >= 0
 
 
 def rate_message(rate_bps: int, *, ssrc: int, media_ssrcs: list[int]) -> bytes:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
-from kontur_av.codecs.coding import REFRESH_S, coded_rate_for
+from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S, coded_rate_for
 from kontur_av.codecs.encoder import VideoEncoder
 from kontur_av.codecs.encoder_settings import Search
 from kontur_av.codecs.h26x import encoder_of, settings_of
@@ -68,21 +68,21 @@ class PictureFeed:
         width, height = size
         coded_hz = coded_rate_for(fps, cap_bps)
 
-        def make(coded: tuple[int, int] | None) -> VideoEncoder:
+        def make(coded: tuple[int, int] | None, usual_s: float) -> VideoEncoder:
             return encoder_of(codec)(
                 width=width,
                 height=height,
                 fps=coded_hz,
                 cap_bps=cap_bps,
                 coded_size=coded,
-                refresh_s=REFRESH_S if refresh_s is None else refresh_s,
+                refresh_s=usual_s if refresh_s is None else refresh_s,
                 search=search,
                 regions=regions,
             )
 
         #: Where pictures are coded finer, of a feed with `regions`.
         self.focus: Focus | None = None
-        encoder = make(coded_size)
+        encoder = make(coded_size, REFRESH_S)
         self.size, self.coded_size = size, encoder.coded_size
         #: Of which library, in words.
         self.encoder = settings_of(codec).encoder_in_use()
@@ -100,7 +100,9 @@ class PictureFeed:
             adapt_refresh=refresh_s is None,
         )
         self.codec: VideoCodec = codec
-        self._make = partial(make, coded_size), partial(make, encoder.largest_size)
+        self._make = tuple(
+            partial(make, one, SLOW_REFRESH_S) for one in (coded_size, encoder.largest_size)
+        )
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
         #: Of header extensions: one for each picture, and a longer one each second.
@@ -113,8 +115,9 @@ class PictureFeed:
         self._encoding = EncodingThread(encoder, clock)
         self._wait_set = WaitSet([], [self._encoding.fileno()])
 
-    # The SDP must exist before the first packet. A second encoder of the same settings has the same
-    # parameter sets, and the real one still begins with the first real picture.
+    # The SDP must exist before the first packet. A second encoder has the parameter sets of the
+    # first picture, before which the sender makes the refresh slow. The real one still begins with
+    # that picture.
     @cached_property
     def parameter_sets(self) -> tuple[bytes, ...]:
         """The parameter sets of the stream."""

@@ -13,7 +13,7 @@ from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, CaptureStamp, Qu
 from kontur_av.metrics import Flat, Newest
 from kontur_av.rtp.arrivals import REORDER_DEPTH_NS
 from kontur_av.rtp.clock_offset import ClockOffset
-from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter
+from kontur_av.rtp.feedback import PictureLossReporter, ReceptionReporter, WholePicture
 from kontur_av.rtp.header_extensions import elements_of, read_picture
 from kontur_av.rtp.nal_depacketizer import NalDepacketizer, ReceivedUnit
 from kontur_av.rtp.nal_formats import NAL_FORMATS
@@ -124,6 +124,8 @@ class VideoReceiver(ReportingReceiver):
         self._came_ns: int | None = None
         self._awaited_ns: int | None = None
         self._losses = PictureLossReporter(ssrc=ssrc)
+        #: RTP timestamp of the newest unit.
+        self._newest = 0
         self._reduced_size = reduced_size
         #: Whether the decoder has a picture at which to start.
         self._begun = False
@@ -169,7 +171,9 @@ class VideoReceiver(ReportingReceiver):
 
     def poll_feedback(self, now_ns: int) -> bytes | None:
         """Return an RTCP datagram to send to the stream's sender now, or None."""
-        asked = self._losses.poll_transmit(now_ns)
+        whole = self._healing.whole if self._begun else None
+        has = None if whole is None else WholePicture(self._newest, whole)
+        asked = self._losses.poll_transmit(now_ns, has)
         if asked is not None and self._reduced_size:
             return asked
         if asked is None and not self._reports.is_due(now_ns):
@@ -183,7 +187,7 @@ class VideoReceiver(ReportingReceiver):
         """Return the next access unit to decode, or None."""
         self._take_packets()
         while (unit := self._depacketizer.next_event()) is not None:
-            corrupted = self._healing.handle_unit(unit)
+            corrupted, self._newest = self._healing.handle_unit(unit), unit.timestamp
             self._begun = self._begun or (unit.keyframe and not corrupted)
             self._losses.handle_picture(
                 damaged=self._healing.damaged or not self._begun,
@@ -211,6 +215,7 @@ class VideoReceiver(ReportingReceiver):
             if packet.restart and self._receiver.counts.sources > 1:
                 # Another camera, perhaps: its pictures are not predicted from those before.
                 self._healing.handle_damage()
+                self._healing.whole = None
             self._depacketizer.handle_packet(packet)
 
     def handle_undecoded(self) -> None:
@@ -218,6 +223,8 @@ class VideoReceiver(ReportingReceiver):
         # FFmpeg returns no picture of a healing HEVC wave before its end.
         if not (self._codec == "h265" and self._healing.in_wave):
             self._healing.handle_damage()
+            # It may go on at a key picture only.
+            self._healing.whole = None
 
     def handle_new_viewer(self) -> None:
         """Ask for a key picture with the next unit: who begins to watch needs one."""
@@ -243,6 +250,8 @@ class VideoReceiver(ReportingReceiver):
         self._begun = True
         withheld = self._corrupted.pop(timestamp, None)
         self.shows_damage = withheld is not None or corrupt
+        if not self.shows_damage:
+            self._healing.whole = timestamp
         if corrupt and withheld is None:
             # So the next unit asks for a key picture. Known damage may have healed since.
             self._healing.handle_damage()

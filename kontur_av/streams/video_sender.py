@@ -1,10 +1,12 @@
 """The sender of a video stream: which pictures to encode and how, and which packets may leave."""
 
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S, Coding
+from kontur_av.codecs.healing import healing_message
 from kontur_av.media import VIDEO_CLOCK_HZ, VIDEO_PAYLOAD_TYPE, AccessUnit, CaptureStamp
 from kontur_av.rtp.clock_offset import read_receiver_time
 from kontur_av.rtp.feedback import PictureLossListener
@@ -20,6 +22,8 @@ _FEEDBACK_SILENCE_NS = 7 * NS_PER_S
 #: At the start, and at each new contact, a way back is assumed for this long, or until it is there.
 #: A change of the refresh costs a key picture, and there has just been one.
 _ASSUMED_NS = NS_PER_S // 2
+#: Pictures that are remembered: more than an encoder can refer to.
+_REMEMBERED = 32
 
 
 class PictureCoded(NamedTuple):
@@ -48,6 +52,8 @@ class FeedbackCounts:
     feedback_received: int = 0
     #: Datagrams that are not feedback.
     feedback_garbage: int = 0
+    #: Losses that were mended without a key picture: the next picture referred to whole ones.
+    losses_healed: int = 0
 
 
 class VideoSender(PacedSender):
@@ -124,6 +130,11 @@ class VideoSender(PacedSender):
         #: None: to be set at the next picture.
         self._assumed_until_ns: int | None = None
         self._keyframe_due = False
+        #: RTP timestamps of the newest pictures that were encoded.
+        self._timestamps: deque[int] = deque(maxlen=_REMEMBERED)
+        #: What the picture in the encoder refers to, if it is to heal.
+        self._refers_to: int | None = None
+        self._healed = 0
         self._coded_cap_bps = cap_bps
         # When the newest picture came; when the one in the encoder came and was begun.
         self._came_ns = 0
@@ -178,7 +189,9 @@ class VideoSender(PacedSender):
         if not self._scheduler.poll_encode(now_ns):
             return None
         self._coding_ns = self._came_ns, now_ns
-        keyframe = self._losses.take(now_ns) or self._keyframe_due
+        asked = self._losses.take(now_ns)
+        lost = self._lost() if asked and not self._keyframe_due else None
+        keyframe = self._keyframe_due or (asked and lost is None)
         self._keyframe_due = False
         refresh_s = None
         if self._assumed_until_ns is None:
@@ -188,7 +201,8 @@ class VideoSender(PacedSender):
             # While the receiver can ask for key pictures, a fast refresh only costs 1 to 2 dB.
             self._slow_refresh = slow
             refresh_s = SLOW_REFRESH_S if slow else REFRESH_S
-        return Coding(keyframe, self._scheduler.next_rate_hz(), refresh_s, self.take_cap())
+        rate_hz = self._scheduler.next_rate_hz()
+        return Coding(keyframe, rate_hz, refresh_s, self.take_cap(), lost)
 
     def take_cap(self) -> int | None:
         """Return the new cap once after each change, else None.
@@ -203,6 +217,13 @@ class VideoSender(PacedSender):
     def handle_access_unit(self, unit: AccessUnit, encoded_ns: int) -> None:
         """The picture of the last `Coding` is encoded, since `encoded_ns`."""
         self._scheduler.handle_encoded(encoded_ns)
+        timestamp = self.timestamp(unit.stamp.capture_ns)
+        self._timestamps.append(timestamp)
+        if unit.keyframe or unit.heals:
+            self._losses.handle_answer(timestamp, encoded_ns, key=unit.keyframe)
+        if unit.heals and self._refers_to is not None:
+            self._healed += 1
+            unit = replace(unit, data=healing_message(self._refers_to) + unit.data)
         self._take(unit, *self._coding_ns, encoded_ns)
 
     def handle_coded(self, unit: AccessUnit, now_ns: int) -> None:
@@ -241,8 +262,17 @@ class VideoSender(PacedSender):
     def feedback(self) -> FeedbackCounts:
         """What the receiver has told so far."""
         return FeedbackCounts(
-            feedback_received=self._losses.received, feedback_garbage=self._losses.garbage
+            feedback_received=self._losses.received,
+            feedback_garbage=self._losses.garbage,
+            losses_healed=self._healed,
         )
+
+    def _lost(self) -> int | None:
+        """Return how many pictures follow the newest whole one; None if that is not known."""
+        self._refers_to = whole = self._losses.whole
+        if whole is None or whole not in self._timestamps:
+            return None
+        return len(self._timestamps) - 1 - self._timestamps.index(whole)
 
     def _can_be_asked(self, now_ns: int) -> bool:
         """Return whether the receiver can ask for a key picture."""

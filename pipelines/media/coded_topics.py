@@ -5,7 +5,7 @@ seldom has one:
 
 - of H.264 the newest picture is coded anew here, in a thread, and published as `added` with the
   number of its unit. A sender has no decoded picture, so it takes what was filmed. That resembles
-  the stream until the next refresh wave;
+  the stream until the next refresh;
 - of HEVC no decoder goes on from other pictures. So the stream's own coder is asked for one.
 """
 
@@ -22,7 +22,7 @@ from kontur_av.rtp.nal_depacketizer import ReceivedUnit
 from kontur_av.rtp.nal_formats import parameter_sets_of
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
 from kontur_av.topics.bus import TopicBus
-from pipelines.media.key_picture_maker import key_of
+from pipelines.media.key_picture_maker import key_of, may_precede
 
 #: Room for most units; the topic makes more for a larger one.
 _USUAL_OCTETS = 16 << 10
@@ -94,9 +94,11 @@ class _CodedTopic:
         if not self._waiting or self._newest is None or self._making is not None or soon:
             return
         picture, unit, stamp = self._newest
+        if not may_precede(unit.data, self._sets):
+            return
         self._waiting, self._key_ns = False, now_ns
         kept = picture.copy() if isinstance(picture, np.ndarray) else picture
-        made = self._thread.submit(key_of, kept, unit.width, unit.height)
+        made = self._thread.submit(key_of, kept, unit.width, unit.height, self._sets)
         self._making = made, unit, stamp
 
     def _publish(self, unit: CodedUnit, stamp: CaptureStamp) -> None:

@@ -202,10 +202,9 @@ class LinkedVideoSender:
         coding = self.sender.poll_encode(now_ns)
         if coding is None or self.gain is None:
             return coding
-        keyframe, rate_hz, refresh_s, cap_bps = coding
-        anew = keyframe or rate_hz is not None or refresh_s is not None
+        anew = coding.keyframe or coding.rate_hz is not None or coding.refresh_s is not None
         self._follow(now_ns, key_picture_due=anew)
-        return Coding(keyframe, rate_hz, refresh_s, self.sender.take_cap() or cap_bps)
+        return coding._replace(cap_bps=self.sender.take_cap() or coding.cap_bps)
 
     def _follow(self, now_ns: int, *, key_picture_due: bool = False) -> None:
         cap_bps, channel_bps = self._cap_bps, self._channel_bps

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from kontur_av.media import AccessUnit, CaptureStamp
@@ -52,7 +53,7 @@ class VideoSendProcess:
         robot: Callable[[], WorldState | None] = lambda: None,
     ) -> None:
         self._agenda, self._studio, self._robot = scene.agenda, studio, robot
-        self._codec, self._cost_ns = stream.codec, scene.costs.picture_ns("encode", stream.codec)
+        self._cost_ns = scene.costs.picture_ns("encode", stream.codec)
         self.end = VideoSendEnd[Picture](
             scene.setup,
             stream,
@@ -107,8 +108,7 @@ class VideoSendProcess:
         self._timer.set(now_ns + wait_ns(now_ns, end.poll_timeout(now_ns)), now_ns)
 
     def _finish(self, job: Job, stamp: CaptureStamp, now_ns: int) -> None:
-        data, keyframe = job.result()
-        self._step(now_ns, AccessUnit(data, stamp, keyframe, self._codec))
+        self._step(now_ns, replace(job.result(), stamp=stamp))
 
 
 class VoiceProcess:

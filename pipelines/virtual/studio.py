@@ -18,7 +18,7 @@ from kontur_av.codecs.h26x import encoder_of
 from kontur_av.codecs.opus import OpusEncoder, bitrate_under_cap
 from kontur_av.codecs.region import Region
 from kontur_av.detect import Click, ClickDetector, Light, LightDetector
-from kontur_av.media import I420, CaptureStamp, VideoCodec, VideoFrame, empty_picture
+from kontur_av.media import I420, AccessUnit, CaptureStamp, VideoCodec, VideoFrame, empty_picture
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import StereoPair
@@ -73,8 +73,8 @@ class VideoStudio:
     regions: pictures may have a region of interest.
 
     A job is one of:
-    - a `Picture`, its `Coding`, and its `Region` or None; the result is (access unit, whether it is
-      a key picture);
+    - a `Picture`, its `Coding`, and its `Region` or None; the result is the access
+      unit, with another stamp;
     - a `Shot` that is likely to be encoded, to be drawn already; no result;
     - a camera's name; the result is the capture instant of the file's next picture, or None.
     """
@@ -106,7 +106,7 @@ class VideoStudio:
 
     def __call__(
         self, job: tuple[Picture, Coding, Region | None] | Shot | str
-    ) -> tuple[bytes, bool] | int | None:
+    ) -> AccessUnit | int | None:
         if isinstance(job, str):
             return self._films[job].next()
         if isinstance(job, Shot):
@@ -116,9 +116,7 @@ class VideoStudio:
             return None
         return self._encode(*job)
 
-    def _encode(
-        self, picture: Picture, coding: Coding, region: Region | None
-    ) -> tuple[bytes, bool]:
+    def _encode(self, picture: Picture, coding: Coding, region: Region | None) -> AccessUnit:
         left, right, merged = self._rooms
         if isinstance(picture, Paired):
             pair = replace(
@@ -130,8 +128,7 @@ class VideoStudio:
         else:
             merged = self._picture(picture, left)
         stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)
-        unit = self._encoder.encode(VideoFrame(merged, stamp), coding, region=region)
-        return unit.data, unit.keyframe
+        return self._encoder.encode(VideoFrame(merged, stamp), coding, region=region)
 
     def _drawn(self, frame: VideoFrame | None, room: I420) -> VideoFrame | None:
         if frame is None:

@@ -1,5 +1,7 @@
 """Both ends of a stream of pictures on virtual time, without encoder and decoder."""
 
+from dataclasses import replace
+
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.media import AccessUnit, CaptureStamp, Quality
 from kontur_av.rtp.annex_b import join_annex_b
@@ -36,15 +38,23 @@ class PictureStream:
 
     Numbers of pictures: `lost` do not arrive; in those of `corrupt` the decoder finds damage; those
     of `late` stay in the decoder; those of `undecoded` it cannot decode.
-    sei: NAL units ahead of a picture, by its number.
+    sei: NAL units ahead of a picture, by its number. heals: the encoder can heal.
     """
 
     def __init__(
-        self, sender=None, receiver=None, *, codec="h264", way_back=True, sei=None, **numbers
+        self,
+        sender=None,
+        receiver=None,
+        *,
+        codec="h264",
+        way_back=True,
+        sei=None,
+        heals=False,
+        **numbers,
     ):
         self.sender = sender or make_sender()
         self.receiver = receiver or make_receiver(codec=codec)
-        self.codec, self.way_back, self.sei = codec, way_back, sei or {}
+        self.codec, self.way_back, self.sei, self.heals = codec, way_back, sei or {}, heals
         self.lost, self.corrupt, self.late, self.undecoded = (
             numbers.pop(name, ()) for name in ("lost", "corrupt", "late", "undecoded")
         )
@@ -63,8 +73,10 @@ class PictureStream:
         coding = sender.poll_encode(now_ns)
         assert coding is not None
         self.codings.append(coding)
-        key, sei = coding.keyframe or number == 0, self.sei.get(number, ())
-        sender.handle_access_unit(coded(number, octets, codec=self.codec, key=key, sei=sei), now_ns)
+        key, sei = self._makes_key(coding) or number == 0, self.sei.get(number, ())
+        unit = coded(number, octets, codec=self.codec, key=key, sei=sei)
+        heals = coding.lost is not None and not key
+        sender.handle_access_unit(replace(unit, heals=heals), now_ns)
         there_ns = now_ns + AHEAD_NS + NS_PER_MS
         while (packet := sender.poll_transmit(now_ns)) is not None:
             if number not in self.lost:
@@ -94,8 +106,11 @@ class PictureStream:
 
     @property
     def keys(self) -> list[int]:
-        """The pictures for which the sender wanted a key picture."""
-        return [number for number, coding in enumerate(self.codings) if coding.keyframe]
+        """The pictures that the sender's wish made key pictures."""
+        return [number for number, coding in enumerate(self.codings) if self._makes_key(coding)]
+
+    def _makes_key(self, coding) -> bool:
+        return coding.keyframe or (coding.lost is not None and not self.heals)
 
     @property
     def refreshes(self) -> list[tuple[int, float]]:

@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 
 from kontur_av.codecs.decoder import VideoDecoder
 from kontur_av.codecs.h26x import recovery_point
-from kontur_av.codecs.healing import Healing, recovery_pictures
+from kontur_av.codecs.healing import (
+    Healing,
+    healing_message,
+    newest_reference,
+    recovery_pictures,
+)
 from kontur_av.media import empty_picture
 from kontur_av.rtp.annex_b import join_annex_b, split_annex_b
 from kontur_av.rtp.nal_depacketizer import ReceivedUnit
@@ -152,7 +157,36 @@ def test_after_a_loss_a_key_picture_heals_what_is_shown(codec):
     assert codec == "h264" or decoder.counts.frames_corrupt + len(shown) == 19
 
 
+@given(st.integers(0, 2**32 - 1))
+def test_a_message_names_the_newest_picture_that_is_referred_to(timestamp):
+    message = healing_message(timestamp)
+    assert newest_reference(message + b"\0\0\0\1\x41") == timestamp
+    (nal,) = split_annex_b(message)
+    assert len(nal) == 25 and b"\0\0" not in nal
+
+
+@pytest.mark.parametrize(
+    ("whole", "healed"), [(None, False), (99, False), (100, True), (101, True), (2**31 + 99, True)]
+)
+def test_damage_ends_only_where_all_is_whole_that_is_referred_to(whole, healed):
+    healing, unit = Healing(), healing_message(100) + b"\0\0\0\1\x41"
+    healing.whole = whole
+    assert healing.handle_unit(received(b"\0\0\0\1\x41", lost_before=1))
+    assert healing.handle_unit(received(unit, damaged=True))
+    assert healing.handle_unit(received(unit, lost_before=1)) is not healed
+    assert healing.damaged is not healed
+
+
+def test_a_loss_that_hides_the_wrap_of_frame_num_is_found():
+    units = encode(noise(50), refresh_s=60.0)
+    decoder = VideoDecoder()
+    shown = decode(units, decoder=decoder, lost={31, 32})
+    assert not set(range(33, 50)) & set(shown)
+    assert decoder.counts.frames_corrupt == 17
+
+
 @given(st.binary(max_size=60))
 def test_garbage_is_no_recovery_point_or_one_in_range(data):
     found = recovery_pictures(b"\0\0\0\1\x06" + data)
     assert found is None or 0 <= found < 1 << 17
+    newest_reference(b"\0\0\0\1\x06" + data)

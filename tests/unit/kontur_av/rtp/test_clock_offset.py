@@ -5,7 +5,7 @@ from rtp_packets import make_sender, picture
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.rtp.clock_offset import ClockOffset, answer_packet, read_receiver_time
-from kontur_av.rtp.wire import parse_rtcp, receiver_report
+from kontur_av.rtp.rtcp import parse_rtcp, receiver_report
 
 
 def test_the_packets_have_the_octets_of_the_rfc():

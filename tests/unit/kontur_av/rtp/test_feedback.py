@@ -8,6 +8,7 @@ from kontur_av.rtp.feedback import (
     PictureLossListener,
     PictureLossReporter,
     ReceptionReporter,
+    WholePicture,
     rate_message,
     told_rate,
 )
@@ -111,6 +112,38 @@ def test_losses_are_answered_every_2_s_and_indications_every_100_ms(feedback, wa
         listener = PictureLossListener(ssrc=7)
         assert answers(listener, feedback[0], at_ns=0)
         assert answers(listener, feedback[1], at_ns=later_ns) is (later_ns == wait_ns)
+
+
+def test_what_a_receiver_has_stands_behind_its_indication_in_24_octets():
+    reporter = PictureLossReporter(ssrc=0x01020304)
+    reporter.handle_picture(damaged=True, media_ssrc=7, now_ns=0)
+    # FMT 15 is application layer feedback (RFC 4585 section 6.4).
+    assert reporter.poll_transmit(0, WholePicture(0xA0, 0xFFFFFFFE)) == bytes.fromhex(
+        "81ce0002 01020304 00000007 8fce0005 01020304 00000007 4b41564c 000000a0 fffffffe"
+    )
+
+
+def asks(*has, receiver=1):
+    reporter = PictureLossReporter(ssrc=receiver)
+    reporter.handle_picture(damaged=True, media_ssrc=7, now_ns=0)
+    return reporter.poll_transmit(0, WholePicture(*has))
+
+
+def test_a_loss_is_answered_once_with_what_is_whole_for_all_receivers(listener):
+    assert answers(listener, asks(9, 5), asks(9, 2**32 - 3, receiver=2), at_ns=0)
+    assert listener.whole == 2**32 - 3
+    listener.handle_answer(12, 0, key=False)
+    # It has not seen the answer, then the answer did not help, then it lost another one at once.
+    assert [answers(listener, asks(at, 5), at_ns=S) for at in (11, 13, 12)] == [False, True, True]
+    # One that does not say what it has needs a key picture, and so all get one.
+    assert answers(listener, asks(13, 5), indication(), at_ns=2 * S) and listener.whole is None
+    assert not listener.take(2 * S)
+    # After a key picture the next loss waits; so nobody can have only key pictures.
+    listener.handle_answer(20, 3 * S, key=True)
+    assert not answers(listener, asks(21, 20), at_ns=3 * S + 100 * MS - 1)
+    assert listener.take(3 * S + 100 * MS) and listener.whole == 20
+    listener.handle_answer(22, 4 * S, key=False)
+    assert answers(listener, asks(22, 21), at_ns=4 * S)
 
 
 @given(st.binary(max_size=64))

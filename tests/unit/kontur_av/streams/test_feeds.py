@@ -69,6 +69,8 @@ def test_pictures_come_out_as_they_went_in(codec, monkeypatch):
                 since_ns = decoding.receiver.capture_ns(unit.timestamp) - 5 * NS_PER_S
                 told = round(since_ns / PERIOD_NS) + 1, *SIZE
                 assert decoding.receiver.told(unit.timestamp) == told
+                # The first picture has the parameter sets of the SDP.
+                assert seen or all(one in unit.data for one in stream.parameter_sets)
                 seen += [
                     (p.to_i420()[: SIZE[1]].mean(), stamp, p.width, p.height) for p, stamp in shown
                 ]

@@ -46,6 +46,24 @@ def test_damage_is_healed_by_a_key_picture(numbers, marks, keys):
     assert stream.sender.feedback.feedback_received == 1
 
 
+@pytest.mark.parametrize(
+    ("numbers", "marks", "answered", "healed"),
+    [
+        ({"lost": {4}}, "....D..........", [6], 1),
+        # The answer is lost, too, and later ones ask again.
+        ({"lost": {4, 6}}, "....DDDDDDDD..", [6, 14], 2),
+        # A decoder that gives up needs a key picture.
+        ({"lost": {4}, "undecoded": {5}}, "..............", [], 0),
+    ],
+)
+def test_an_encoder_that_can_heals_without_a_key_picture(numbers, marks, answered, healed):
+    stream = PictureStream(heals=True, **numbers).run(range(16))
+    lost = [(number, one.lost) for number, one in enumerate(stream.codings) if one.lost is not None]
+    assert lost == [(number, number - 4) for number in answered]
+    assert (stream.marks, stream.keys) == (marks, [] if healed else [6])
+    assert stream.sender.feedback.losses_healed == healed
+
+
 def test_without_a_key_picture_damage_is_shown_200_ms_after_a_pause():
     stream = PictureStream(lost=range(4, 15), way_back=False).run(range(24))
     assert stream.marks == "....-------DD"

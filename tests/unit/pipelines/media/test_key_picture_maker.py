@@ -1,13 +1,15 @@
 """Key pictures beside a loop, and HEVC units that become H.264 units for browsers."""
 
 import numpy as np
+import pytest
 
 from kontur_av.codecs.coding import Coding
 from kontur_av.codecs.decoder import VideoDecoder
-from kontur_av.codecs.h26x import H264Decoder, H265Encoder
+from kontur_av.codecs.h26x import H264Decoder, H264Encoder, H265Encoder
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture
+from kontur_av.rtp.nal_formats import H264
 from kontur_av.streams.coded_unit import MOST_UNIT_OCTETS, CodedUnit
-from pipelines.media.key_picture_maker import H264Copy, key_of
+from pipelines.media.key_picture_maker import H264Copy, key_of, may_precede
 
 WIDTH, HEIGHT = 128, 96
 
@@ -30,6 +32,31 @@ def test_a_picture_is_coded_in_the_size_of_its_stream_and_into_what_a_unit_may_h
     noise = empty_picture(1920, 1080)
     noise[:] = np.random.default_rng(1).integers(0, 255, noise.shape, np.uint8)
     assert len(key_of(noise, 1920, 1080)) <= MOST_UNIT_OCTETS
+
+
+@pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (640, 480)])
+@pytest.mark.parametrize("refresh_s", [60.0, 2.0, 0.5])
+def test_it_has_the_parameter_sets_of_its_stream(size, refresh_s):
+    options = {"fps": 30, "cap_bps": 500_000, "refresh_s": refresh_s, "coded_size": size}
+    coder = H264Encoder(width=size[0], height=size[1], **options)
+    units = []
+    for number in range(66):
+        stamp = CaptureStamp(0, number, "test")
+        units.append(coder.encode(VideoFrame(picture(*size, number=number), stamp)).data)
+    sets = H264.parameter_sets(units[0])
+    key = key_of(picture(*size), *size, sets)
+    assert H264.parameter_sets(key) == sets and key != sets
+    decoder = H264Decoder()
+    assert all(decoder.decode(unit, 0) for unit in (key, *units[25:]))
+    # A browser's decoder refuses a picture of the key picture's frame_num, which is 0.
+    late = [number for number, unit in enumerate(units) if not may_precede(unit, sets)][-4:]
+    wrap = late[-1] + 1
+    assert late == list(range(wrap - 4, wrap)) and wrap in (32, 48, 64)
+    assert may_precede(b"", sets) and may_precede(units[5], b"") and may_precede(units[9], sets)
+    # What a peer sends for sets is not taken.
+    for garbage in (sets[:9], sets[::-1], b"\0\0\1\x68", b"\0\0\1\x67" + bytes(90)):
+        assert may_precede(units[5], garbage)
+        assert H264.parameter_sets(key_of(picture(*size), *size, garbage)) not in (b"", garbage)
 
 
 def hevc_units(count, refresh_s, key_at=None):

@@ -3,6 +3,7 @@
 import pytest
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.codecs.coding import Coding
 from pipelines.partner import decisions
 
 
@@ -110,7 +111,7 @@ def test_a_picture_is_skipped_after_large_ones_and_a_missing_unit_asks_for_a_key
     # 250 ms at this rate.
     plan.handle_coded(25_000, 0)
     assert plan.handle_picture(33 * NS_PER_MS) is None
-    assert plan.handle_picture(133 * NS_PER_MS) == (False, None, None, None)
+    assert plan.handle_picture(133 * NS_PER_MS) == Coding()
     assert plan.skipped == 1
     plan.handle_key_request()
     plan.handle_rate(400_000)

@@ -29,8 +29,7 @@ def test_a_picture_of_a_fast_file_may_wait_for_its_encoder(tmp_path, step_ms, wa
     captured_ns = [studio("head") for _ in range(waits + 1)]
     assert captured_ns == sorted(captured_ns)
     for sequence in (0, waits):
-        data, _ = studio((Shot("head", sequence, None), Coding(), None))
-        assert data
+        assert studio((Shot("head", sequence, None), Coding(), None)).data
 
 
 def test_a_picture_that_was_drawn_ahead_is_coded_as_one_that_was_not():
