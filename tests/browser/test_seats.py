@@ -28,7 +28,6 @@ from telepresence.haptics.envelope import Hold
 
 #: Below what the coder makes of a camera's picture, far above a picture that began wrongly.
 CODED_DB = 25.0
-STALE = "document.querySelector('#picture').dataset.stale === 'true'"
 #: A tone that noise suppression does not take for noise: half a second of it in every second.
 TONE_HZ = 600
 #: A level between silence and a voice, on the pages' meters.
