@@ -143,8 +143,8 @@ def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
     with pytest.raises(av.ConfigError, match="cannot be read"):
         av.StreamReceiver(tmp_path / "none.sdp")
     port, sdp = free_port(), tmp_path / "s.sdp"
-    stream = av.StreamDescription(kind="video", host="127.0.0.1", port=port, payload_type=96)
-    sdp.write_text(av.write_sdp(stream))
+    stream = StreamDescription(kind="video", host="127.0.0.1", port=port, payload_type=96)
+    sdp.write_text(write_sdp(stream))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", port))
         with pytest.raises(av.ConfigError, match="cannot be opened"):
