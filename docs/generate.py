@@ -67,7 +67,7 @@ Send a file, `v4l2:/dev/video0` or `rtsp://…`: what `kontur-av send` does, and
 
 ```python
 report = ka.send("clip.mp4", "localhost:5004", cap_bps=250_000, seconds=2)
-print(report.sender.units_sent, report.payload_bps_max_1s)
+print(report.sender.frames_sent, report.payload_bps_max_1s)
 ```
 
 Encode and decode, with a transport of your own.

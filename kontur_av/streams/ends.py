@@ -14,7 +14,8 @@ Use::
             show(one.data, one.age_ms)
 """
 
-import asyncio
+from __future__ import annotations
+
 import os
 import threading
 from collections import deque
@@ -24,19 +25,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from operator import index
 from pathlib import Path
-from typing import Any, Generic, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, Self, TypeVar
 
-import av
 import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.closing import Closing
-from kontur_av.codecs.decoder import DecodedPicture
-from kontur_av.codecs.encoder import LEAST_VIDEO_BPS
-from kontur_av.codecs.h26x import settings_of
-from kontur_av.codecs.picture_formats import PICTURE_FORMATS, PictureFormat, from_i420, to_i420
-from kontur_av.codecs.region import Focus
 from kontur_av.errors import ConfigError, one_of, refused, whole
 from kontur_av.hosts import LAST_PORT, parse_address
 from kontur_av.media import (
@@ -52,22 +47,19 @@ from kontur_av.media import (
     check_size,
     empty_picture,
 )
-from kontur_av.rtp.sdp import StreamDescription, parse_sdp
-from kontur_av.streams.budget import LEAST_BPS, MOST_BPS
-from kontur_av.streams.decoding import PictureDecoding, SoundDecoding
-from kontur_av.streams.feeds import (
-    STREAM_CODECS,
-    PictureFeed,
-    SoundFeed,
-    StreamCodec,
-    undescribed,
-    write_description,
-)
-from kontur_av.streams.paced_sender import SenderCounts
-from kontur_av.streams.sending import SendShell
-from kontur_av.streams.udp import UdpReceiver, UdpSender
-from kontur_av.streams.video_receiver import VideoReceiver
-from kontur_av.streams.voice_receiver import VoiceReceiver
+
+# Codecs, sockets and event loops are loaded by who opens an end: they take longer than all else.
+if TYPE_CHECKING:
+    import av
+
+    from kontur_av.codecs.decoder import DecodedPicture
+    from kontur_av.codecs.picture_formats import PictureFormat
+    from kontur_av.codecs.region import Focus
+    from kontur_av.rtp.sdp import StreamDescription
+    from kontur_av.streams.feeds import PictureFeed, SoundFeed, StreamCodec
+    from kontur_av.streams.paced_sender import SenderCounts
+    from kontur_av.streams.video_receiver import VideoReceiver
+    from kontur_av.streams.voice_receiver import VoiceReceiver
 
 Picture = NDArray[np.uint8]
 Sound = NDArray[np.int16]
@@ -166,6 +158,8 @@ class _AsyncClosing(Closing):
         return self
 
     async def __aexit__(self, *error: object) -> None:
+        import asyncio
+
         await asyncio.to_thread(self.__exit__, *error)
 
 
@@ -173,6 +167,8 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
     """What the senders of pictures and of sound share."""
 
     def __init__(self, to: str, cap_bps: int, sdp: str | Path | None, period_ns: int) -> None:
+        from kontur_av.streams.budget import LEAST_BPS, MOST_BPS
+
         self._cap_bps = whole(cap_bps, "cap_bps", least=LEAST_BPS, most=MOST_BPS)
         self._period_ns = period_ns
         with refused(f"sdp {sdp!r}: give a path", TypeError):
@@ -192,6 +188,8 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
     @property
     def counts(self) -> SenderCounts:
         """Pictures or blocks so far."""
+        from kontur_av.streams.paced_sender import SenderCounts
+
         return SenderCounts() if self._feed is None else self._feed.sender.counts
 
     @property
@@ -212,6 +210,8 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
 
     def _begin(self, feed: PictureFeed | SoundFeed) -> None:
         if self._sdp is not None:
+            from kontur_av.streams.feeds import write_description
+
             try:
                 write_description(feed, self._address, self._sdp)
             except ConfigError:
@@ -254,6 +254,9 @@ class _Sender(_AsyncClosing, Generic[_Kind]):
         return max(0, due_ns - now_ns)
 
     def _run(self) -> None:
+        from kontur_av.streams.sending import SendShell
+        from kontur_av.streams.udp import UdpSender
+
         assert self._feed is not None
         try:
             with closing(self._feed), closing(UdpSender(*self._address)) as udp:
@@ -291,6 +294,11 @@ class PictureSender(_Sender[Picture]):
         codec: VideoCodec = "h264",
         format: PictureFormat = "rgb",
     ) -> None:
+        from kontur_av.codecs.encoder import LEAST_VIDEO_BPS
+        from kontur_av.codecs.h26x import settings_of
+        from kontur_av.codecs.picture_formats import PICTURE_FORMATS
+        from kontur_av.streams.budget import MOST_BPS
+
         self._fps = whole(fps, "fps", least=1, most=120)
         super().__init__(to, cap_bps, sdp, NS_PER_S // self._fps)
         whole(cap_bps, "cap_bps of pictures", least=LEAST_VIDEO_BPS, most=MOST_BPS)
@@ -323,6 +331,9 @@ class PictureSender(_Sender[Picture]):
         x, y: its upper left corner; all four are shares of the picture, 0 to 1. A width of 0 takes
         it away. Raises ConfigError for other numbers.
         """
+        from kontur_av.codecs.region import Focus
+        from kontur_av.streams.feeds import PictureFeed
+
         with refused("focus: give four numbers", TypeError):
             self._focus = Focus(x, y, width, height) if width else None
         if isinstance(self._feed, PictureFeed):
@@ -332,11 +343,16 @@ class PictureSender(_Sender[Picture]):
         self, picture: Picture | av.VideoFrame, *, capture_ns: int | None = None
     ) -> None:
         """As `send`, in an event loop."""
+        import asyncio
+
         item = self._item(picture, capture_ns)
         await asyncio.sleep(self._turn_ns() / NS_PER_S)
         self._source.put(*item)
 
     def _item(self, given: Picture | av.VideoFrame, capture_ns: int | None) -> tuple[Picture, int]:
+        from kontur_av.codecs.picture_formats import to_i420
+        from kontur_av.streams.feeds import PictureFeed
+
         now_ns = self._clock.now_ns()
         self._check_open()
         picture = to_i420(given, self._format)
@@ -364,6 +380,8 @@ class SoundSender(_Sender[Sound]):
     """Sends sound as Opus; arguments as of `PictureSender`."""
 
     def __init__(self, to: str, *, cap_bps: int, sdp: str | Path | None = None) -> None:
+        from kontur_av.streams.feeds import SoundFeed
+
         super().__init__(to, cap_bps, sdp, BLOCK_NS)
         self._source = _Blocks(_MOST_BLOCKS)
         self._begin(SoundFeed(self._source, self._clock, cap_bps=self._cap_bps))
@@ -380,6 +398,8 @@ class SoundSender(_Sender[Sound]):
 
     async def asend(self, block: Sound, *, capture_ns: int | None = None) -> None:
         """As `send`, in an event loop."""
+        import asyncio
+
         item = self._item(block, capture_ns)
         await asyncio.sleep(self._turn_ns() / NS_PER_S)
         self._source.put(*item)
@@ -426,6 +446,11 @@ class StreamReceiver(_AsyncClosing):
         size: tuple[int, int] | Literal["sent"] | None = "sent",
         format: PictureFormat = "rgb",
     ) -> None:
+        from kontur_av.codecs.picture_formats import PICTURE_FORMATS
+        from kontur_av.rtp.sdp import parse_sdp
+        from kontur_av.streams.feeds import STREAM_CODECS, undescribed
+        from kontur_av.streams.udp import UdpReceiver
+
         if (sdp is None) == (port is None):
             raise ConfigError("give the file sdp, or port and codec")
         if sdp is None:
@@ -477,6 +502,8 @@ class StreamReceiver(_AsyncClosing):
         return self
 
     async def __anext__(self) -> Received:
+        import asyncio
+
         while True:
             # Short, because a cancelled call waits on in its thread.
             found = await asyncio.to_thread(self._take, 0.1)
@@ -502,6 +529,8 @@ class StreamReceiver(_AsyncClosing):
 
     def _shaped(self, decoded: DecodedPicture, sent_size: tuple[int, int] | None) -> Picture:
         """Return a picture in the wanted size and format."""
+        from kontur_av.codecs.picture_formats import from_i420
+
         size = sent_size if self._size == "sent" else self._size
         picture = empty_picture(*(size or (decoded.width, decoded.height)))
         decoded.scale_into(picture)
@@ -532,6 +561,8 @@ class StreamReceiver(_AsyncClosing):
             self._end(why)
 
     def _pictures(self, stream: StreamDescription) -> Ended:
+        from kontur_av.streams.decoding import PictureDecoding
+
         decoding = PictureDecoding(stream, self._clock)
         receiver = decoding.receiver
         size: tuple[int, int] | None = None
@@ -568,6 +599,8 @@ class StreamReceiver(_AsyncClosing):
         return why
 
     def _sound(self, stream: StreamDescription) -> Ended:
+        from kontur_av.streams.decoding import SoundDecoding
+
         decoding = SoundDecoding(stream, self._clock)
         receiver = decoding.receiver
 

@@ -1,6 +1,8 @@
 """The recipes of docs/python.md run as they stand, but for their ports."""
 
 import re
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -79,3 +81,11 @@ def test_a_recipe_without_a_network(word, capsys):
         # Coded pictures have a size of their own.
         assert len(seen) == len(PICTURES) and seen[-1].ndim == 3
         assert abs(seen[-1].astype(int).mean() - 79) < 2
+
+
+def test_the_import_of_a_name_loads_no_codec_and_no_event_loop():
+    names = "PictureSender, kontur_av.StreamReceiver"
+    code = f"import sys, kontur_av; kontur_av.{names}; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout
+    assert {"av", "cv2", "asyncio", "aiortc", "ssl"}.isdisjoint(loaded.split())
+    assert "kontur_av.streams.ends" in loaded

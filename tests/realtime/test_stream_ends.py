@@ -13,6 +13,7 @@ from common import free_port
 import kontur_av as av
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import Quality
+from kontur_av.rtp import parse_sdp, write_sdp
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
 
@@ -55,8 +56,8 @@ def test_what_no_report_dates_comes_without_an_age(tmp_path, kind):
     with cls(f"127.0.0.1:{port}", cap_bps=300_000, sdp=sdp) as end:
         end.send(item)
         # Its reports go where nobody hears them, and its packets' own dates are not told.
-        stream = av.parse_sdp(sdp.read_text())
-        sdp.write_text(av.write_sdp(replace(stream, rtcp_port=elsewhere, capture_time_id=None)))
+        stream = parse_sdp(sdp.read_text())
+        sdp.write_text(write_sdp(replace(stream, rtcp_port=elsewhere, capture_time_id=None)))
         with av.StreamReceiver(sdp) as received, ThreadPoolExecutor() as pool:
             first = pool.submit(next, received)
             for _ in range(MOST):

@@ -13,7 +13,7 @@ from common import free_port
 import kontur_av as av
 from kontur_av.codecs.decoder import DecodedPicture
 from kontur_av.codecs.picture_formats import from_i420, to_i420
-from kontur_av.streams import ends
+from kontur_av.streams.udp import UdpSender
 
 GREY = np.full((96, 128, 3), 90, np.uint8)
 HERE = "127.0.0.1:9"
@@ -132,7 +132,7 @@ def test_what_ends_the_thread_reaches_the_caller(monkeypatch):
     def fail(*_):
         raise RuntimeError("out of order")
 
-    monkeypatch.setattr(ends.UdpSender, "exchange", fail)
+    monkeypatch.setattr(UdpSender, "exchange", fail)
     with pytest.raises(RuntimeError, match="out of order"), pictures() as end:
         for _ in range(100):
             end.send(GREY)
@@ -158,7 +158,7 @@ def test_a_receiver_refuses_what_cannot_work():
 
 
 def test_pictures_have_the_size_that_is_asked_for_whatever_they_were_coded_in():
-    reader = object.__new__(ends.StreamReceiver)
+    reader = object.__new__(av.StreamReceiver)
     reader._format = "bgr"
     for coded in ((320, 180), (640, 362)):
         frame = VideoFrame.from_ndarray(np.full((coded[1], coded[0], 3), 200, np.uint8), "rgb24")
@@ -201,7 +201,7 @@ class Stalling:
     [([], 8), ([0] * 5 + [1], 8), ([0] * 5 + [20], 25.3), ([6, 6], 17.1), ([0] * 4 + [20], 25.2)],
 )
 def test_a_stall_of_the_receiver_is_no_silence_of_the_sender(stalls, ended_s):
-    here, reader = Stalling(stalls), object.__new__(ends.StreamReceiver)
+    here, reader = Stalling(stalls), object.__new__(av.StreamReceiver)
     reader.ended, reader._udp, reader._clock = None, here, here
     assert reader._follow(here, here.drain) == "timeout"
     assert here.now_s == pytest.approx(ended_s, abs=0.3)

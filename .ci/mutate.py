@@ -1,7 +1,7 @@
 """Make small faults in modules, one at a time, and count those that the nearest tests notice.
 
-    python tests/mutate.py kontur_av/streams/budget.py --mutations 12 --seed 1
-    python tests/mutate.py telepresence/link pipelines/mission --nearest --total 40 --seed 1
+    python .ci/mutate.py kontur_av/streams/budget.py --mutations 12 --seed 1
+    python .ci/mutate.py telepresence/link pipelines/mission --nearest --total 40 --seed 1
 
 The test file of a module runs, with `--nearest` its folder of tests/unit. The tests run on a copy
 of the tree. Part of the nightly tier only.
