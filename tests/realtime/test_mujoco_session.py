@@ -6,9 +6,8 @@ import signal
 from pathlib import Path
 
 import pytest
+from robot_tip import Tip
 from running_session import eventually
-
-from pipelines.session.mission_messages import ROBOT_TOPIC
 
 pytest.importorskip("mujoco", reason="mujoco: pip install mujoco")
 
@@ -38,14 +37,9 @@ def test_an_arm_is_driven_seen_and_outlives_its_physics(start, tmp_path, monkeyp
     session = start(LAB, "--robot", "mujoco_robot:SpaceJustin", "--record", "run.mcap")
     session.wait_for_flow()
     with session.bus(monkeypatch) as bus:
-        reader = bus.reader(ROBOT_TOPIC)
-
-        def position_m():
-            with eventually(reader.latest, "a state of the robot") as lease:
-                return ROBOT_TOPIC.unpack(lease.octets()).x_m
-
-        began_m = position_m()
-        eventually(lambda: abs(position_m() - began_m) > 0.01, "a motion")
+        state = Tip(bus).state
+        began_m = state().x_m
+        eventually(lambda: abs(state().x_m - began_m) > 0.01, "a motion")
     killed = physics_of(session)
     os.kill(killed, signal.SIGKILL)
     eventually(lambda: physics_of(session) not in (None, killed), "the physics again")

@@ -89,33 +89,6 @@ def test_no_wakeup_is_lost_in_thousands(session, start):
                 assert told.recv_bytes() == number
 
 
-def _sleep_for_ever(session, publish):
-    reader = TopicBus(session).reader("numbers")
-    publish.send_bytes(b"ready")
-    while reader.wait(LONG_NS):
-        reader.latest().release()
-
-
-def test_readers_killed_while_waiting_cost_others_no_wakeup(session, start):
-    """More of them than may exist at once, beside one that lives."""
-    with TopicBus(session) as bus:
-        writer, reader = bus.writer("numbers", max_octets=8), bus.reader("numbers")
-        waiter = bus.waiter([reader])
-        for sequence in range(4):
-            told, publish = PROCESSES.Pipe(duplex=False)
-            victims = [start(_sleep_for_ever, publish) for _ in range(3)]
-            for _ in victims:
-                assert told.poll(TIMEOUT_S)
-                told.recv_bytes()
-            for victim in victims:
-                victim.kill()
-                writer.publish_octets(bytes(8), stamp(sequence))
-                assert waiter.wait(LONG_NS)
-                with reader.latest() as lease:
-                    assert lease.stamp.sequence == sequence
-                victim.join()
-
-
 def _die_before_ringing(session, order):
     writer = TopicBus(session).writer("numbers", max_octets=8)
     writer.publish_octets(bytes(8), stamp(0))

@@ -9,7 +9,7 @@ from kontur_av.media import empty_picture
 from kontur_av.sources.pipe import PipeVideo
 
 SIZE = 320, 240
-PERIOD_NS = NS_PER_S // 30
+PERIOD_NS = NS_PER_S // 10
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def ends(tmp_path):
     clock = ManualClock(NS_PER_S)
     source = PipeVideo("head", *SIZE, 30, clock, str(tmp_path / "head"))
     writer = os.open(tmp_path / "head", os.O_WRONLY)
-    os.write(writer, b"YUV4MPEG2 W320 H240 F30:1\n")
+    os.write(writer, b"YUV4MPEG2 W320 H240 F10:1\n")
     yield clock, source, writer
     os.close(writer)
     source.close()
