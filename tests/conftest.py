@@ -109,20 +109,3 @@ def speech() -> Callable[[str], Path]:
         return found
 
     return path
-
-
-@pytest.fixture(scope="session")
-def speech_samples(speech) -> Callable[[str], np.ndarray]:
-    """speech_samples("Front_Center.wav"): the same as mono int16 at 48 kHz."""
-
-    def read(name: str) -> np.ndarray:
-        to_mono = av.AudioResampler(format="s16", layout="mono", rate=48_000)
-        with av.open(str(speech(name))) as container:
-            blocks = [
-                block.to_ndarray().ravel()
-                for frame in container.decode(audio=0)
-                for block in to_mono.resample(frame)
-            ]
-        return np.concatenate(blocks)
-
-    return read

@@ -18,17 +18,17 @@ from numbered_pictures import (
     numbered_picture,
     write_pictures,
 )
+from robot_tip import Tip
 from running_session import RunningSession, restarted
 from selenium.webdriver import ActionChains, Keys
 
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
-from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC, ROBOT_TOPIC
+from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC
 from pipelines.session.topic_ends import TopicReader
 from telepresence.haptics.envelope import Hold
 
 #: Below what the coder makes of a camera's picture, far above a picture that began wrongly.
 CODED_DB = 25.0
-STALE = "document.querySelector('#picture').dataset.stale === 'true'"
 #: A tone that noise suppression does not take for noise: half a second of it in every second.
 TONE_HZ = 600
 #: A level between silence and a voice, on the pages' meters.
@@ -183,7 +183,7 @@ class Robot:
     """The robot and the joystick of the session, by their topics."""
 
     def __init__(self, bus):
-        self._state = bus.reader(ROBOT_TOPIC)
+        self._tip = Tip(bus)
         self._joystick = bus.reader(JOYSTICK_STATE_TOPIC)
         self._status = TopicReader(bus, ROBOT_STATUS_TOPIC)
         self._held = False
@@ -194,22 +194,13 @@ class Robot:
 
     def x_m(self):
         """Return the newest place of the tip."""
-        return eventually(self._newest, "a state of the robot").x_m
+        return self._tip.state().x_m
 
     def held(self):
         """Return whether the joystick's dead-man button is pressed."""
-        lease = self._joystick.latest()
-        if lease is not None:
-            with lease:
-                self._held = JOYSTICK_STATE_TOPIC.unpack(lease.octets()).dead_man
+        if (octets := self._joystick.latest_octets()) is not None:
+            self._held = JOYSTICK_STATE_TOPIC.unpack(octets).dead_man
         return self._held
-
-    def _newest(self):
-        lease = self._state.latest()
-        if lease is None:
-            return None
-        with lease:
-            return ROBOT_TOPIC.unpack(lease.octets())
 
 
 @pytest.fixture

@@ -6,11 +6,11 @@ from math import dist, inf
 
 import pytest
 from browser import LIVE, eventually
+from robot_tip import Tip
 from running_session import RunningSession
 from selenium.webdriver import ActionChains
 
 from pipelines.media.following import board_view
-from pipelines.session.mission_messages import ROBOT_TOPIC
 
 SETUP = """
 cameras = ["static"]
@@ -41,7 +41,7 @@ class Seat:
     """The operator's page, the hand on its map, and the robot's tip."""
 
     def __init__(self, session, bus, page):
-        self.page, self.setup, self.robot = page, session.setup, bus.reader(ROBOT_TOPIC)
+        self.page, self.setup, self.place = page, session.setup, Tip(bus).place
         page.wait(LIVE)
         page.wait("document.querySelector('joystick-panel').textContent.includes('application')")
 
@@ -84,12 +84,6 @@ class Seat:
 
     def pause(self, ms):
         self.page.run("return new Promise((done) => setTimeout(done, arguments[0]))", ms)
-
-    def place(self):
-        """Return where the robot's tip is now (m); no page knows that yet."""
-        with eventually(self.robot.latest, "a state of the robot") as lease:
-            state = ROBOT_TOPIC.unpack(lease.octets())
-        return state.x_m, state.y_m
 
     def spot(self, place):
         """Return where a place on the board is over the picture, in pixels of the page."""

@@ -49,14 +49,3 @@ def test_no_decoded_picture_is_larger_than_its_stream_may_have(data):
             assert taken * form.padded_bits_per_pixel <= 8 * MOST
     good = join_annex_b([*other_sets(codec), sps(codec, *SIZE), *other_sets(codec)[-1:]])
     assert decoder.decode(good + join_annex_b([first_slice(codec, 0)]), 9)
-
-
-@given(st.sampled_from(VIDEO_CODECS), st.binary(max_size=300), st.integers(0, 9))
-def test_any_octets_behind_good_parameter_sets_end_no_decoder(codec, octets, start_code):
-    decoder = VideoDecoder(codec, size=SIZE)
-    sets = join_annex_b([*other_sets(codec)[:-1], sps(codec, *SIZE), other_sets(codec)[-1]])
-    good = sets + join_annex_b([first_slice(codec, 0)])
-    octets = b"\0\0\1".join((octets[:start_code], octets[start_code:]))
-    decoder.decode(good + octets, 0)
-    decoder.decode(octets, 1)
-    assert decoder.decode(good, 2)

@@ -113,29 +113,6 @@ def test_every_parser_refuses_or_accepts_any_octets(octets):
         assert unit
 
 
-SOURCE = st.sampled_from([b"\0\0\0\x07", b"\0\0\0\x07", b"\0\0\0\x08"])
-# Octets with a valid start get further into the parsers.
-RTP = st.builds(
-    lambda first, number, stamp, source, payload: (
-        bytes((first, 0x60 | 0x80 * (number & 1)))
-        + number.to_bytes(2, "big")
-        + stamp.to_bytes(4, "big")
-        + source
-        + payload
-    ),
-    st.sampled_from([0x80, 0x80, 0x80, 0x90, 0xA0, 0x81, 0xB3]),
-    st.one_of(st.integers(0, 40), st.integers(0, 65_535)),
-    st.one_of(st.integers(0, 9), st.integers(0, 2**32 - 1)),
-    SOURCE,
-    st.one_of(
-        st.binary(max_size=40),
-        st.binary(max_size=40).map(lambda rest: b"\x7c" + rest),
-        st.binary(max_size=40).map(lambda rest: b"\x78" + rest),
-        # Of HEVC: an AP and an FU.
-        st.binary(max_size=40).map(lambda rest: b"\x60\x01" + rest),
-        st.binary(max_size=40).map(lambda rest: b"\x62\x01" + rest),
-    ),
-)
 LINE = st.sampled_from(
     [
         "c=IN IP4 1.2.3.4", "c=IN IP6 ::1", "c=IN IP4 name", "c=", "t=0 0", "m=video 9 RTP/AVP 96",

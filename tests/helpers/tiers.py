@@ -97,7 +97,7 @@ TABLE = (
 )
 
 #: Who asks for one of these needs files that only the full tier has: real footage, real speech.
-FULL_FIXTURES = {"footage", "pictures", "speech", "speech_samples"}
+FULL_FIXTURES = {"footage", "pictures", "speech"}
 
 #: A skip for one of these reasons is no missing program: the machine itself cannot do it.
 MACHINE_REASONS = ("this machine", "no block of free UDP ports")

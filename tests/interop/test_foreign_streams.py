@@ -1,5 +1,4 @@
-"""Streams of others, joined late and with losses: HEVC with open groups of pictures (CRA, RASL,
-RADL), and H.264 that is marked and packetized in other ways.
+"""HEVC of others, joined late and with losses: open groups of pictures (CRA, RASL, RADL).
 
 Invariant: a picture that shows no loss is the one that FFmpeg decodes from the whole stream.
 """
@@ -14,10 +13,9 @@ import pytest
 from programs import needs
 
 from kontur_av.codecs.decoder import VideoDecoder
-from kontur_av.codecs.h26x import H264Decoder
 from kontur_av.media import Quality
 from kontur_av.rtp.annex_b import split_annex_b
-from kontur_av.rtp.nal_formats import H264, H265, RASL
+from kontur_av.rtp.nal_formats import H265, RASL
 from kontur_av.streams.video_receiver import VideoReceiver
 
 pytestmark = pytest.mark.interop
@@ -141,54 +139,3 @@ def test_after_losses_no_picture_that_shows_damage_is_called_fresh(stream, seed)
     )
     # Groups of pictures that nothing of is lost come whole.
     assert sum(fresh for fresh, _ in found.values()) >= 5
-
-
-@pytest.fixture(scope="module")
-def film(tmp_path_factory):
-    """Return the NAL units of 50 pictures with four slices each, and FFmpeg's pictures of them."""
-    needs("ffmpeg")
-    path = tmp_path_factory.mktemp("film") / "film.h264"
-    options = "-pix_fmt yuv420p -c:v libx264 -preset ultrafast -tune zerolatency -bf 0 -g 10"
-    source = ("ffmpeg", "-v", "error", "-f", "lavfi", "-i", "testsrc2=s=192x160:r=25:d=2")
-    coded = [*source, *options.split(), "-x264-params", "slices=4:aud=1", path]
-    subprocess.run(coded, check=True)
-    decode = ("ffmpeg", "-v", "error", "-i", path, "-f", "rawvideo", "-")
-    raw = subprocess.run(decode, check=True, capture_output=True).stdout
-    size = 192 * 160 * 3 // 2
-    pictures = [hashlib.md5(raw[at : at + size]).digest() for at in range(0, len(raw), size)]
-    assert len(pictures) == 50
-    return split_annex_b(path.read_bytes()), pictures
-
-
-@pytest.mark.parametrize("marked", ["slice", "unit", "nothing"])
-@pytest.mark.parametrize("lasting", [True, False])
-def test_our_pictures_are_those_of_ffmpeg(film, marked, lasting):
-    units, expected = film
-    receiver, decoder = VideoReceiver(ssrc=1), H264Decoder(reordered=True)
-    found, picture, sequence, boot_id = [], 0, 0, 0
-
-    def take():
-        while (unit := receiver.next_event()) is not None:
-            shown = decoder.decode(unit.data, unit.timestamp)
-            found.extend(digest(one.to_i420()) for one in shown)
-
-    for unit in units:
-        kind = H264.nal_type(unit)
-        if kind == 9:
-            picture += 1
-            if picture % 10 == 1 and not lasting:
-                # A camera that begins anew with each group of pictures.
-                boot_id, sequence = boot_id + 1, 7000 * boot_id
-        payloads = H264.packetize([unit], 500)
-        for payload in payloads:
-            last = payload is payloads[-1]
-            marker = last and (marked == "unit" or (marked == "slice" and kind in (1, 5)))
-            packet = packed(payload, sequence, picture * 3600, marker, boot_id)
-            receiver.handle_packet(packet, picture * PERIOD_NS, HERE)
-            sequence += 1
-            take()
-    receiver.handle_timeout(60 * PERIOD_NS)
-    receiver.handle_timeout(10**12)
-    take()
-    assert found == expected
-    assert receiver.counts.frames_damaged == 0

@@ -112,19 +112,6 @@ def assert_handed_on(receiver, sent) -> None:
     assert forwarded["packets"] == sent
 
 
-def test_ffmpeg_decodes_each_picture_of_a_transport_stream(tmp_path):
-    needs("ffmpeg")
-    port = free_pair()
-    with (
-        receiving(tmp_path, f"udp://127.0.0.1:{port}") as receiver,
-        ffmpeg(f"udp://127.0.0.1:{port}") as process,
-    ):
-        wait_until_bound(port)
-        sent = send(tmp_path, receiver.port)
-        assert_shown("ffmpeg", process, sent)
-        assert_handed_on(receiver, sent)
-
-
 def test_vlc_opens_the_sdp_by_the_reader_of_ffmpeg(tmp_path):
     needs("cvlc")
     port = free_pair()

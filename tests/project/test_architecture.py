@@ -29,12 +29,6 @@ TIERS = (
     {"bench"},
     {"commands"},
 )
-#: Modules with I/O, time or randomness. A core gets these as arguments.
-DOORS = words(
-    "asyncio concurrent datetime evdev ftplib multiprocessing os secrets select selectors",
-    "signal socket subprocess threading time",
-)
-
 #: Every module of this name is the shell of a process; those in these folders are commands.
 PROCESS = re.compile(r"pipelines/(?!report/)\w+/process_\w+\.py")
 SHELL_FOLDERS = ("pipelines/commands/",)

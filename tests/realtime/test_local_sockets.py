@@ -177,15 +177,23 @@ def ask(session="lab-1", request=None, **more):
     return requests.ask(session, SERVICE, request or Question(), Reply, **more)
 
 
+def ask_async(request=None, **more):
+    """As an event loop asks."""
+    asked = requests.ask_async("lab-1", SERVICE, request or Question(), Reply, **more)
+    return asyncio.run(asked)
+
+
 def test_a_slow_process_is_told_from_one_that_has_gone_and_from_one_that_refuses(service):
-    with pytest.raises(ConnectionError, match="trainer is not running"):
-        ask()
+    for one in (ask, ask_async):
+        with pytest.raises(ConnectionError, match="trainer is not running"):
+            one()
     server = service("lab-1")
-    assert ask() == Reply("done")
-    with pytest.raises(ConfigError, match="take a number above 0"):
-        ask(request=Question(-1))
-    with pytest.raises(TimeoutError, match=r"trainer has not answered for 0\.1 s"):
-        ask(request=Pause(), timeout_s=0.1)
+    for one in (ask, ask_async):
+        assert one() == Reply("done")
+        with pytest.raises(ConfigError, match="take a number above 0"):
+            one(request=Question(-1))
+        with pytest.raises(TimeoutError, match=r"trainer has not answered for 0\.1 s"):
+            one(request=Pause(), timeout_s=0.1)
     with requests.RequestClient("lab-1", SERVICE) as client:
         assert [client.ask(Question(), Reply) for _ in range(3)] == [Reply("done")] * 3
         server.end()
@@ -195,20 +203,6 @@ def test_a_slow_process_is_told_from_one_that_has_gone_and_from_one_that_refuses
     restarting.start()
     assert ask(return_s=TIMEOUT_S) == Reply("again")
     restarting.join()
-
-
-def test_an_event_loop_asks_alike(service):
-    def said(request, **more):
-        return asyncio.run(requests.ask_async("lab-1", SERVICE, request, Reply, **more))
-
-    with pytest.raises(ConnectionError, match="trainer is not running"):
-        said(Question())
-    service("lab-1")
-    assert said(Question()) == Reply("done")
-    with pytest.raises(ConfigError, match="take a number above 0"):
-        said(Question(-1))
-    with pytest.raises(TimeoutError):
-        said(Pause(), timeout_s=0.1)
 
 
 def test_garbage_and_a_crowd_are_refused_and_end_nothing(service):

@@ -4,10 +4,10 @@ import json
 import shutil
 import subprocess
 import sys
-import textwrap
 
 import numpy as np
 import pytest
+from alsa_file import make_alsa_file
 from common import eventually, free_port
 
 from kontur_av import ConfigError, MonotonicClock, SoundSender
@@ -20,21 +20,7 @@ TONE = (np.sin(np.arange(960) * 2 * np.pi / 48) * 9_000).astype(np.int16)
 def played(tmp_path, monkeypatch):
     if shutil.which("aplay") is None:
         pytest.skip("aplay: apt-get install alsa-utils")
-    config = tmp_path / "asound.conf"
-    config.write_text(
-        textwrap.dedent(
-            f"""
-            </usr/share/alsa/alsa.conf>
-            pcm.played {{
-                type file
-                slave.pcm null
-                file {tmp_path}/out.raw
-                format raw
-            }}
-            """
-        )
-    )
-    monkeypatch.setenv("ALSA_CONFIG_PATH", str(config))
+    make_alsa_file(tmp_path, monkeypatch, played=tmp_path / "out.raw")
     return tmp_path / "out.raw"
 
 

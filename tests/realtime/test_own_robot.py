@@ -4,9 +4,8 @@ import shutil
 import time
 from pathlib import Path
 
+from robot_tip import Tip
 from running_session import eventually
-
-from pipelines.session.mission_messages import ROBOT_TOPIC
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_robot.py"
 
@@ -16,13 +15,7 @@ def test_the_samples_robot_is_moved_touches_its_wall_and_stops(start, tmp_path, 
     session = start("taskboard", "--robot", "own_robot:Mass", "--record", "run.mcap")
     session.wait_for_flow()
     with session.bus(monkeypatch) as bus:
-        reader = bus.reader(ROBOT_TOPIC)
-
-        def state():
-            lease = eventually(reader.latest, "a state of the robot")
-            with lease:
-                return ROBOT_TOPIC.unpack(lease.octets())
-
+        state = Tip(bus).state
         eventually(lambda: state().contact and state().force_n > 1.0, "a contact")
         assert session.ask("stop").returncode == 0
         eventually(lambda: session.ask("tc", "robot", "power_on").returncode == 1, "the stop")

@@ -1,7 +1,6 @@
 """The server of a session's pages, as browsers and unknown senders meet it."""
 
 import asyncio
-import contextlib
 import re
 import socket
 from urllib.parse import urlsplit
@@ -11,11 +10,10 @@ import numpy as np
 import pytest
 from common import psnr_db
 from mcap.reader import make_reader
-from page_client import Visitor, decoded, hand, unit_of, visiting
+from page_client import decoded, unit_of, visiting
 from running_session import RunningSession, eventually
 
 SETUP = "spacejustin"
-SELECT = {"application": "camera", "name": "select", "arguments": ["static"]}
 
 
 @pytest.fixture(scope="module")
@@ -107,23 +105,6 @@ async def test_strangers_and_bad_handshakes_are_refused(session):
             await good.text("state")
 
 
-async def test_viewers_keep_no_operator_out(session):
-    pages = session.pages()
-    async with visiting(pages["space"]) as visitor:
-        viewer = Visitor(visitor.client, visitor.url.replace(visitor.token, pages["viewer_token"]))
-        async with contextlib.AsyncExitStack() as stack:
-            watching = 0
-            for _ in range(20):
-                try:
-                    await stack.enter_async_context(viewer.page())
-                    watching += 1
-                except aiohttp.WSServerHandshakeError as error:
-                    assert error.status == 503
-            assert 1 < watching < 20
-            async with visitor.page() as page:
-                await page.text("state")
-
-
 def garbage(rng):
     """Yield what no page sends, in bytes or text."""
     yield from (b"", "", b"\x00", b"\xff" * 24, "{}", "[]", "null", "{" * 4000, "\u20ac" * 1000)
@@ -150,28 +131,6 @@ async def test_garbage_closes_the_socket_that_sent_it_only(session, seat):
                     assert await bad.close_code() in {1008, 1009}, message
         for _ in range(3):
             await good.text("state")
-
-
-async def test_a_viewer_moves_nothing_and_the_holder_lets_go_with_its_socket(session):
-    pages = session.pages()
-    space, viewer = pages["space"], pages["viewer_token"]
-    watching = space.partition("token=")[0] + f"token={viewer}"
-    async with visiting(watching) as visitor, visitor.page() as page:
-        assert page.hello["role"] == "viewer"
-        await page.ws.send_bytes(hand(1))
-        for do, fields in (("hand", {"action": "take"}), ("command", SELECT)):
-            answer = await page.ask(do, **fields)
-            assert (answer["ok"], answer["error"]) == (False, "a viewer may watch only")
-        assert (await page.text("state"))["hand"]["holder"] is None
-    async with visiting(space) as visitor, visitor.page() as other:
-        async with visitor.page() as page:
-            assert (await page.ask("hand", action="take"))["ok"]
-            for sequence in range(1, 50):
-                await page.ws.send_bytes(hand(sequence, x=0.1))
-            while (await other.text("state"))["hand"]["holder"] != page.hello["page"]:
-                pass
-        while (await other.text("state"))["hand"]["holder"] is not None:
-            pass
 
 
 async def test_who_joins_in_the_middle_has_the_same_picture(session):

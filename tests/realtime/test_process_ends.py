@@ -5,7 +5,6 @@ import socket
 import pytest
 
 from kontur_av.clock import MonotonicClock
-from pipelines.session.datagrams import LOOPBACK, receive
 from pipelines.session.probe import FLUSH_NS, Message
 from pipelines.session.process import Context
 from pipelines.session.session_metrics import LatenessRow, LoopMetrics, ProbeMetrics, RxRow
@@ -82,23 +81,3 @@ def test_a_closed_launcher_is_no_error(link):
     ours.close()
     for end in (theirs, None):
         context_of(end).send_metrics(0)
-
-
-def test_a_sender_survives_its_receiver_and_reaches_the_next_one():
-    context = context_of(None)
-    first = context.listen(0)
-    port = first.getsockname()[1]
-    send = context.sender(port)
-    send(b"1")
-    assert receive(first) == b"1"
-    first.close()
-    for _ in range(3):
-        send(b"nobody hears this")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second:
-        second.setblocking(False)
-        second.bind((LOOPBACK, port))
-        send(b"2")
-        send(b"and longer")
-        assert receive(second) == b"2"
-        assert receive(second, 3) == b"and"
-        assert receive(second) is None

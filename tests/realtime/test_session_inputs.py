@@ -5,7 +5,6 @@ import random
 import shutil
 import socket
 import struct
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -77,26 +76,7 @@ def test_garbage_on_every_port_is_counted_and_dropped(start):
     session.assert_nothing_left()
 
 
-def picture(width, height, level):
-    return b"FRAME\n" + bytes([level]) * (width * height) + bytes([128]) * (width * height // 2)
-
-
-def write_pictures(fifo, width, height, level):
-    """Write grey pictures for half a second, as a program would, then end."""
-
-    def run():
-        with fifo.open("wb", buffering=0) as pipe:
-            pipe.write(b"YUV4MPEG2 W%d H%d F30:1 Ip A1:1 C420jpeg\n" % (width, height))
-            for _ in range(15):
-                pipe.write(picture(width, height, level))
-                time.sleep(1 / 30)
-
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
-    return thread
-
-
-def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path, monkeypatch):
+def test_sources_that_are_silent_or_end_fail_no_session(start, footage, speech, tmp_path):
     fifo, film, voice = (tmp_path / name for name in ("head.y4m", "film.mp4", "voice.wav"))
     os.mkfifo(fifo)
     shutil.copyfile(footage("carphone_pristine.mp4"), film)
@@ -109,26 +89,6 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
     )  # fmt: skip
     session.pids()
     session.wait_for_flow()
-    with session.bus(monkeypatch) as bus:
-        head = bus.reader("input/head")
-
-        def next_level():
-            lease = head.latest()
-            if lease is None:
-                return None
-            with lease:
-                luma = lease.video().data[:480]
-                return int(luma[240, 320])
-
-        # Without a writer this input is silent, but the others are not.
-        assert next_level() is None
-        for width, height, level in ((640, 480, 90), (320, 240, 150)):
-            writer = write_pictures(fifo, width, height, level)
-            eventually(
-                lambda level=level: abs((next_level() or 0) - level) < 4,
-                f"a picture of {width}x{height}",
-            )
-            writer.join()
     # A camera without pictures is selected: the encoder waits for one, and no process fails.
     assert session.select("head").returncode == 0
     session.wait_for_flow(["uplink_voice", "downlink_video", "haptic_up", "haptic_down"])
@@ -139,8 +99,6 @@ def test_sources_that_stall_end_and_change_size(start, footage, speech, tmp_path
             file.truncate(100)
     session.wait_for_flow(["uplink_video", "downlink_voice", "haptic_up", "haptic_down"])
     report = session.finish(silent=True, sound=True)
-    processes = report["processes"]
-    assert "writer has gone" in processes["camera_head"]["source_fault"]
     assert restarted(report) == {}
     session.assert_nothing_left()
 
@@ -162,6 +120,7 @@ def test_a_camera_in_the_network_comes_back_and_its_password_is_nowhere(start, t
         report = session.finish(sound=True)
     camera = report["processes"]["camera_head"]
     assert camera["restarts"] == 0 and camera["counts"]["source_faults"] >= 1
+    assert camera["source_fault"].startswith(f"{shown}: ")
     assert camera["dated_by"] in ("source", "arrival")
     with (tmp_path / "a.mcap").open("rb") as file:
         reader = make_reader(file)

@@ -5,9 +5,6 @@ import pytest
 
 from benchmarks.voice.gstreamer import laid_out
 from benchmarks.voice.network import BURST_PACKETS, Network
-from pipelines.session.setup.setup_file import BUILT_IN
-
-SETUP = BUILT_IN["spacejustin"]
 
 
 def test_loss_is_as_configured_and_a_sound_is_laid_out_as_a_sound_card_plays_it():

@@ -173,43 +173,6 @@ def test_an_access_unit_larger_than_allowed_is_dropped_and_a_loss_before_the_nex
         assert (small.garbage, small.units) == (1 - count, 3 + count)
 
 
-@pytest.mark.parametrize("end", ["marker", "silence", "next unit", "next picture"])
-def test_a_unit_whose_last_part_is_not_marked_is_whole(end):
-    parts = [*PARTS[:-1], PARTS[-1][:1] + bytes([PARTS[-1][1] & ~0x40]) + PARTS[-1][2:]]
-    last = len(parts) - 1
-    packets = [
-        received(part, n, marker=end == "marker" and n == last) for n, part in enumerate(parts)
-    ]
-    if end == "next unit":
-        packets.append(received(LATER_SLICE, last + 1))
-    if end == "next picture":
-        packets.append(received(SLICE, last + 1, timestamp=3000))
-    first = through(packets, marked=end == "marker")[0]
-    assert split_annex_b(first.data) == [LONG, *[LATER_SLICE] * (end == "next unit")]
-    assert not first.damaged
-
-
-@pytest.mark.parametrize(
-    "ahead", [[], [b"\x09\xf0"], [b"\x06\x05"], [SPS, PPS], [b"\x06\x05", SPS]]
-)
-def test_a_picture_ends_where_the_next_one_begins(ahead):
-    """ITU-T H.264 clause 7.4.1.2.3: with a first slice, or what goes ahead of one."""
-    sent = [[SLICE, LATER_SLICE], [*ahead, SLICE], [*ahead, IDR, LATER_SLICE]]
-    units = through(unmarked(*(unit for units in sent for unit in units)))
-    assert nals(units) == sent
-    assert not any(unit.damaged for unit in units)
-    assert [unit.keyframe for unit in units] == [False, False, True]
-
-
-def test_a_sender_that_dates_each_slice_is_understood():
-    units = through(
-        received(unit, number, timestamp=3000 * (number // 2) + number % 2, marker=bool(number % 2))
-        for number, unit in enumerate([SLICE, LATER_SLICE] * 3)
-    )
-    assert [unit.timestamp for unit in units] == [0, 3000, 6000]
-    assert nals(units) == [[SLICE, LATER_SLICE]] * 3
-
-
 def test_a_sender_that_marks_each_slice_costs_no_picture():
     sent = [
         received(unit, number, timestamp=number // 2 * 3000, received_ns=number // 2)

@@ -32,10 +32,6 @@ class Quiet:
         return AudioFrame(np.zeros(960, np.int16), self.stamp)
     def close(self): ...
 
-class Lost:
-    def __init__(self, *_):
-        raise OSError("no such camera")
-
 broken = 3
 """
 
@@ -73,11 +69,6 @@ def test_its_pictures_and_sounds_are_taken(spec, level):
 def test_one_that_is_not_there_is_refused_before_anything_has_started(spec, words):
     with pytest.raises(ConfigError, match=words):
         check_spec(spec, "video")
-
-
-def test_one_that_cannot_be_made_is_one_line():
-    with pytest.raises(ConfigError, match="no such camera"):
-        open_video("own_camera:Lost", name="x", width=64, height=48, fps=30, clock=ManualClock())
 
 
 def test_a_file_of_such_a_name_is_a_file(tmp_path):

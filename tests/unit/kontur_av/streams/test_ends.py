@@ -1,6 +1,5 @@
 """Whole ends of a stream: bad input is refused, and errors reach the caller."""
 
-import socket
 import time
 from fractions import Fraction
 from pathlib import Path
@@ -140,6 +139,7 @@ def test_what_ends_the_thread_reaches_the_caller(monkeypatch):
             end.send(GREY)
 
 
+<<<<<<< HEAD
 def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
     with pytest.raises(av.ConfigError, match="cannot be read"):
         av.StreamReceiver(tmp_path / "none.sdp")
@@ -152,6 +152,8 @@ def test_an_sdp_that_is_absent_or_whose_port_is_taken_is_refused(tmp_path):
             av.StreamReceiver(sdp)
 
 
+=======
+>>>>>>> shorter2
 def test_a_receiver_refuses_what_cannot_work():
     port = free_port()
     for options, reason in (
@@ -159,6 +161,7 @@ def test_a_receiver_refuses_what_cannot_work():
             ({}, "sdp, or port"),
             ({"sdp": "s.sdp", "port": port}, "sdp, or port"),
             ({"sdp": 5}, "5"),
+            ({"sdp": "none.sdp"}, "cannot be read"),
         ),
         *(({"port": wrong}, "^port ") for wrong in ("5004", 0, 65_535, 1.5)),
         ({"port": port, "codec": "vp8"}, "codec 'vp8': take one of h264, h265, opus"),

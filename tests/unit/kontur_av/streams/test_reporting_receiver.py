@@ -76,13 +76,3 @@ def test_without_reduced_size_a_report_precedes_what_asks_for_a_key_picture(redu
     for _, answer in path.answers:
         assert [type(each) for each in answer] == [*before, RtcpPsfbPacket]
     assert path.answers
-
-
-@pytest.mark.parametrize("rate_hz", RECEIVERS)
-def test_without_a_sender_report_there_is_nowhere_to_send_one(rate_hz):
-    path = Path(rate_hz)
-    if rate_hz == 90_000:
-        # Otherwise it asks for a picture at which to begin.
-        path.receiver.handle_picture(0, 64, 48, None)
-    path.send(range(300), reports=False)
-    assert path.answers == []

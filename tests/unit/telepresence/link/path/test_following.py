@@ -23,7 +23,6 @@ from telepresence.link.protection.datagrams import REPORT
 from telepresence.link.radio.network import Network, NetworkPath
 
 MS = 1_000_000
-S = 1000 * MS
 VIDEO_BPS = 1_500_000
 NEEDS = PathNeeds(VIDEO_BPS, PARTS // 3)
 STATES = ["all", "no idle", "lower caps", "fewer pictures", "no video"]
