@@ -149,7 +149,7 @@ def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
     told: by line, the class that has it already; lines of this class are added.
     """
     if member.is_attribute:
-        code = f"{member.name} = {member.value}"
+        code = f"{member.name} = {member.value}".replace("'", '"')
         return f"### {member.name}\n\n```python\n{code}\n```\n\n{paragraph(member)}\n"
     lines = [f"### {member.name}\n\n```python"]
     if member.is_function:
