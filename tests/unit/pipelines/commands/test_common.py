@@ -27,7 +27,7 @@ LAB, SEA = "lab-1", "sea-2"
 def test_what_moves_a_robot_asks_when_another_session_may_be_meant(
     monkeypatch, capsys, everywhere, here, asked, able, moves, meant
 ):
-    monkeypatch.setattr(common, "sessions", lambda: everywhere)
+    monkeypatch.setattr(common, "launched_sessions", lambda: everywhere)
     monkeypatch.setattr(common, "started_here", lambda session: session in here)
     if meant in everywhere:
         assert acting_on(asked, able, moves=moves) == meant

@@ -35,7 +35,7 @@ def held(tmp_path, monkeypatch, silent):
         def hold(*setups):
             found = [stack.enter_context(hold_session(setup)) for setup in setups]
             for module in (stop, common):
-                monkeypatch.setattr(module, "sessions", lambda: found)
+                monkeypatch.setattr(module, "launched_sessions", lambda: found)
             return found
 
         yield hold
