@@ -219,7 +219,7 @@ REFUSALS = {
         "--sdp none.sdp": "cannot be read",
         "--sdp notes.txt": "no SDP",
         "--sdp good.sdp --seconds 1 --save /nowhere/x.mkv": "--save",
-        "--sdp good.sdp --play": "--play plays sound, but the SDP describes pictures",
+        "--sdp good.sdp --seconds 1 --play jack:x": "write default, alsa:DEVICE or pulse:SINK",
     },
     "joystick": {
         "test --device usb": "write sim, sim:FAULT, page, ros2, evdev",
