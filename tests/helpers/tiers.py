@@ -68,10 +68,10 @@ _JOURNEYS = {
 #: Modules of tests/realtime that mostly wait.
 _WAITING = """
     test_bench_all_run test_bench_children test_bench_console test_bench_video_run
-    test_command_output test_files test_fresh_process test_launcher test_link_command test_maintain
-    test_metrics test_readme_commands test_remote_update test_rtc_peers test_services test_upkeep
-    test_whip_client
-    """
+    test_command_output test_files test_fresh_process test_launcher test_link_command
+    test_loudspeaker test_maintain test_metrics test_readme_commands test_recipes
+    test_remote_update test_rtc_peers test_services test_upkeep test_whip_client
+"""
 
 #: Long courses on virtual time.
 _LONG = """
