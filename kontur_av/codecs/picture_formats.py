@@ -22,7 +22,7 @@ _SCALER = Scaler()
 
 
 def to_i420(picture: Any, form: PictureFormat) -> I420:
-    """Return a picture as a new `I420`. Raises ConfigError for anything that is no picture.
+    """Return a picture as a new `I420`. Raises ConfigError for anything else.
 
     picture: an array of this form, or an `av.VideoFrame` of any. Its width and height are even.
     """

@@ -43,7 +43,7 @@ _SCHEMES = {
 }
 #: These wait for a sender, so their host may be left out.
 _WAITING = ("srt", "udp", "rtp")
-_ENCODE = "percent-encode what is no letter or digit"
+_ENCODE = "percent-encode all but letters and digits"
 _STALLED = f"nothing came for {STALL_S:g} s: check that it is on, and the network"
 _WHY: dict[type[Exception], str] = {
     socket.gaierror: "there is no such host: check its name, or give its address",
@@ -126,7 +126,7 @@ class _Address(NamedTuple):
 
 
 def _parsed(spec: str) -> _Address:
-    """Raises ConfigError for what is no address."""
+    """Raise ConfigError unless this is a complete address."""
     shown = shown_spec(spec)
     scheme, _, rest = spec.partition(":")
     scheme = scheme.lower()
@@ -185,7 +185,7 @@ class NetworkVideo(LiveCapture):
         `rtp:` and an SDP file.
     wait: connect before this returns.
 
-    Raises ConfigError as `check_address` does; without `wait`, only for what is no address.
+    Raises ConfigError as `check_address` does; without `wait`, only for a malformed address.
     """
 
     check_source = staticmethod(check_address)
