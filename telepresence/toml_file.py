@@ -102,9 +102,14 @@ def _check_known(
                 raise ConfigError(f"{name} is too large: it must be a number below 2**64")
         inner = _inner(known.get(key))
         if inner is not None:
-            for each in value if isinstance(value, list) else (value,):
+            parts = value if isinstance(value, list) else (value,)
+            names = [name] * len(parts)
+            if get_origin(known[key]) is Mapping and isinstance(value, Mapping):
+                # A table of tables: their names are the user's.
+                names, parts = [f"{name}.{one}" for one in value], list(value.values())
+            for prefixed, each in zip(names, parts, strict=True):
                 if isinstance(each, Mapping):
-                    _check_known(f"{name}.", each, inner)
+                    _check_known(f"{prefixed}.", each, inner)
 
 
 def _numbers(value: object) -> Iterator[float]:

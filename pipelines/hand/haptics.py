@@ -38,7 +38,7 @@ class _End(Generic[Side]):
 
     def __init__(self, side: Side, probe: Probe) -> None:
         self.side = side
-        self.trace = HapticTrace([] if side.axes is None else side.axes.names)
+        self.trace = HapticTrace([] if side.axes is None else side.axes.columns)
         self._probe = probe
         self._link = side.link
         # Looked up once: they are called a thousand times a second.
@@ -93,11 +93,13 @@ def robot_side(
     residual: bool = False,
     ownership: ControlAuthority | None = None,
     robot: Robot | None = None,
+    plane: Sequence[str] = ("x", "y"),
 ) -> RobotSide:
     """Return a robot's side within the limits of its envelope.
 
     boot_id: 1 to 2^24-1; no earlier start of this end had it. residual: see `RobotSide`.
-    ownership: where a partner may drive, too. robot: the simulated one, if None.
+    ownership: where a partner may drive, too. robot: the simulated one, if None. plane: as
+    `RobotSide` has it.
     """
     limits = envelope.limits
     max_age_ns = round(limits.command_max_age_s * NS_PER_S)
@@ -115,6 +117,7 @@ def robot_side(
         ownership=ownership,
         envelope=envelope,
         robot=robot,
+        plane=plane,
     )
 
 

@@ -20,8 +20,7 @@ repair = "idle"
 path = "compact"
 path_batch_ms = 2
 hand = "mediated"
-axes = 2
-gripper = false
+axes = ["x", "pan"]
 partner_arm = "second"
 tasks = true
 recorded_cameras = "all"
@@ -66,6 +65,12 @@ taken_kbps = 700
 
 [uplink]
 frame_octets = 40
+
+[axis.pan]
+kind = "rotary"
+mode = "rate"
+scale = -2.0
+speed = 0.5
 
 [downlink]
 frame_octets = 250
