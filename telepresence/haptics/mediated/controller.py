@@ -50,6 +50,7 @@ class RendererModel:
     steepest_n_m: where the tank does not pay for the wall's spring, one of up to this stiffness has
     the same force and stores less. It feels as stiff to a hand that keeps still.
     acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
+    velocity_s: time constant of the velocity that a fade uses.
     old_ns: a wall that nobody has repeated for so long fades out.
     """
 
@@ -65,6 +66,7 @@ class RendererModel:
     soften_s: float = 0.1
     steepest_n_m: float = 0.0
     acceleration_m_s2: float = 150.0
+    velocity_s: float = 0.003
     old_ns: int = 5 * NS_PER_S
 
 
@@ -97,6 +99,7 @@ class WallRenderer:
         #: The present force on the handle (N, N).
         self.force_n = (0.0, 0.0)
         self._last: tuple[float, float] | None = None
+        self._vx = self._vy = 0.0
 
     @property
     def spare_j(self) -> float:
@@ -143,6 +146,9 @@ class WallRenderer:
         dx, dy = x_m - last[0], y_m - last[1]
         self.given_j = held_x * dx + held_y * dy
         self.handle_flow(self.given_j)
+        share = 1.0 / (dt_s + self.model.velocity_s)
+        self._vx += (dx - self._vx * dt_s) * share
+        self._vy += (dy - self._vy * dt_s) * share
         # What the spring does by itself.
         nx, ny = self._inward
         force = self._spring_n_m * (nx * x_m + ny * y_m - self._from_m)
@@ -217,8 +223,11 @@ class WallRenderer:
         self._spring_n_m = min(max(self._stiffness, need_n_m), steepest)
 
     def _bounded(self, force: float, in_m_s: float) -> float:
+        """Return what of `force` the tank pays for while it fades by `most_rate_n_s` at most."""
         tank_j = max(0.0, self.tank_j)
-        force = min(force, self.limit_n, sqrt(2.0 * self._spring_n_m * tank_j))
+        away_m_s = max(0.0, -(self._inward[0] * self._vx + self._inward[1] * self._vy))
+        yielding = 1.0 / self._spring_n_m + away_m_s / self.model.most_rate_n_s
+        force = min(force, self.limit_n, sqrt(2.0 * tank_j / yielding))
         # The next cycle is held, and the handle may accelerate.
         out_m = (self.model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
         if force * out_m > tank_j:

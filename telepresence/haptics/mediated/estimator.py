@@ -269,7 +269,7 @@ class WallEstimator:
             except np.linalg.LinAlgError:
                 return None
             solution = covariance @ right / variance
-            stiffness, surface, _, tilt, *_ = map(float, solution)
+            stiffness, surface, damping, tilt, *_ = map(float, solution)
             if not LEAST_STIFFNESS_N_M <= stiffness <= MOST_STIFFNESS_N_M or abs(tilt) > 1.0:
                 return None
             missing = (solution @ across - push) ** 2 + (solution @ beside - load.imag) ** 2
@@ -302,7 +302,7 @@ class WallEstimator:
             self._known_n_m = stiffness
         at_surface = tip + surface / stiffness * inward
         distance_m = (_unit(-angle) * at_surface).real
-        return Wall(angle % tau, float(distance_m), stiffness)
+        return Wall(angle % tau, float(distance_m), stiffness, max(0.0, damping))
 
 
 def _unit(angle_rad: float) -> complex:
@@ -311,14 +311,21 @@ def _unit(angle_rad: float) -> complex:
 
 #: A wall takes over within this time, about as fast as the renderer lets its force grow.
 _TAKES_OVER_NS = 300 * NS_PER_MS
+#: Time constant of the tip's velocity.
+_VELOCITY_S = 0.005
 
 
 class Residual:
-    """Call `rest_n` once a cycle with the newest wall that was told, or None."""
+    """Call `rest_n` once a cycle with the newest wall that was told, or None.
+
+    The wall's damping is no part of the rest: shown a round trip late, it would keep a hand
+    swinging that the wall itself brings to rest.
+    """
 
     def __init__(self) -> None:
         self._share = 0.0
-        self._last_ns: int | None = None
+        self._last: tuple[int, float, float] | None = None
+        self._vx = self._vy = 0.0
 
     def rest_n(
         self,
@@ -330,11 +337,16 @@ class Residual:
         now_ns: int,
     ) -> tuple[float, float]:
         """Return the part of the force (fx_n, fy_n) on the tip that `wall` does not explain."""
-        last_ns, self._last_ns = self._last_ns, now_ns
+        last, self._last = self._last, (now_ns, x_m, y_m)
+        passed_ns = now_ns - last[0] if last is not None else 0
+        if last is not None and passed_ns > 0:
+            after_s = passed_ns / NS_PER_S + _VELOCITY_S
+            # The velocity's own step is the distance less what it had; the time cancels out.
+            self._vx += (x_m - last[1] - self._vx * passed_ns / NS_PER_S) / after_s
+            self._vy += (y_m - last[2] - self._vy * passed_ns / NS_PER_S) / after_s
         if wall is None:
             self._share = 0.0
             return fx_n, fy_n
-        if last_ns is not None and self._share < 1.0:
-            self._share = min(1.0, self._share + (now_ns - last_ns) / _TAKES_OVER_NS)
-        wall_x, wall_y = wall.force_n(x_m, y_m)
+        self._share = min(1.0, self._share + passed_ns / _TAKES_OVER_NS)
+        wall_x, wall_y = wall.force_n(x_m, y_m, self._vx, self._vy)
         return fx_n - self._share * wall_x, fy_n - self._share * wall_y
