@@ -38,13 +38,12 @@ class Wall:
 
     angle_rad: direction of its inward normal, from +x towards +y; a tip that moves that way meets
     it head-on. distance_m: from the origin to the plane along that direction; may be negative.
-    stiffness_n_m, damping_n_s_m: of the wall alone; no message carries the damping.
+    stiffness_n_m: of the wall alone.
     """
 
     angle_rad: float
     distance_m: float
     stiffness_n_m: float
-    damping_n_s_m: float = 0.0
 
     @property
     def inward(self) -> tuple[float, float]:
@@ -61,16 +60,10 @@ class Wall:
         nx, ny = self.inward
         return replace(self, distance_m=self.distance_m + nx * x_m + ny * y_m)
 
-    def force_n(
-        self, x_m: float, y_m: float, vx_m_s: float = 0.0, vy_m_s: float = 0.0
-    ) -> tuple[float, float]:
-        """Its force (N, N) on a tip at (x_m, y_m) of this velocity."""
+    def force_n(self, x_m: float, y_m: float) -> tuple[float, float]:
+        """Its force (N, N) on a resting tip at (x_m, y_m)."""
         nx, ny = self.inward
-        depth_m = nx * x_m + ny * y_m - self.distance_m
-        if depth_m <= 0.0:
-            return 0.0, 0.0
-        in_m_s = nx * vx_m_s + ny * vy_m_s
-        push = min(0.0, -self.stiffness_n_m * depth_m - self.damping_n_s_m * in_m_s)
+        push = -self.stiffness_n_m * max(0.0, nx * x_m + ny * y_m - self.distance_m)
         return push * nx, push * ny
 
 
