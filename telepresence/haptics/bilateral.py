@@ -160,9 +160,10 @@ class JoystickSide(_Side):
         acted = self._advance(now_ns, advance_ns)
         handle, controller = self.handle, self.controller
         state = handle.state
+        back_x_m, back_y_m = controller.held_back_m
         command = (
-            handle.x_m,
-            handle.y_m,
+            handle.x_m + back_x_m,
+            handle.y_m + back_y_m,
             controller.port.granted_uj,
             handle.dead_man,
             state,
