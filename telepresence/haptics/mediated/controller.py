@@ -276,10 +276,9 @@ class MediatedController(JoystickController):
     """A `JoystickController` whose force is that of the newest wall. Call `handle_wall` for each.
 
     residual: the feedback is what the wall does not explain, and is displayed, too.
+    adaptive: a `JoystickController` until the first wall comes.
     renderer: what it renders with. garbage: messages that were not a wall.
     """
-
-    spared_j = 0.002 + _START_J
 
     def __init__(
         self,
@@ -287,18 +286,27 @@ class MediatedController(JoystickController):
         *,
         passive: bool = True,
         residual: bool = False,
+        adaptive: bool = False,
     ) -> None:
-        super().__init__(model or _MODEL, passive=passive)
+        super().__init__(model, passive=passive)
+        self._model, self._rendering = model or _MODEL, False
         self.residual = residual
         self.renderer = WallRenderer(_RENDERING)
         self.garbage = 0
         self._damping_n = (0.0, 0.0)
-        if passive:
-            self.port.kept_j = self.port.credit_j = _START_J
         self._heard, self._braking = False, True
         #: The robot may not know the wall that is rendered: one of the two has just started.
         self._unknown = True
         self._before: tuple[float, float] | None = None
+        if not adaptive:
+            self._render()
+
+    def _render(self) -> None:
+        """From now on walls are rendered."""
+        self._rendering, self.model, self.spared_j = True, self._model, 0.002 + _START_J
+        if self.passive:
+            self.port.kept_j += _START_J
+            self.port.credit_j += _START_J
 
     @property
     def robot_force_n(self) -> tuple[float, float]:
@@ -313,6 +321,8 @@ class MediatedController(JoystickController):
         except ProtocolError:
             self.garbage += 1
             return
+        if not self._rendering:
+            self._render()
         # What comes before the robot is heard may be of its earlier start.
         self._unknown = self._unknown and not self._heard
         self.renderer.handle_wall(message)
@@ -325,6 +335,8 @@ class MediatedController(JoystickController):
         self, feedback: Feedback | None, x_m: float, y_m: float, dt_ns: int
     ) -> tuple[float, float]:
         """As in `JoystickController`; the force of `feedback` counts with `residual` only."""
+        if not self._rendering:
+            return super().step(feedback, x_m, y_m, dt_ns)
         renderer, limit_n = self.renderer, self.limit_n
         before, self._before = self._before, (x_m, y_m)
         if before is not None:
