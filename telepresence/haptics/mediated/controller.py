@@ -30,6 +30,8 @@ from telepresence.haptics.mediated.wall import STAMP_MODULUS_MS, Wall, WallMessa
 from telepresence.haptics.sample import Feedback
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
+#: Up to this speed a spring that relaxes falls slowly enough; a tremor is about as fast.
+_SLOW_M_S = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -233,12 +235,13 @@ class WallRenderer:
 
     def _bounded(self, force: float, in_m_s: float) -> float:
         """Return what of `force` the tank pays for while it fades by `most_rate_n_s` at most."""
-        tank_j = max(0.0, self.tank_j)
+        model, tank_j = self.model, max(0.0, self.tank_j)
         away_m_s = max(0.0, -(self._inward[0] * self._vx + self._inward[1] * self._vy))
-        yielding = 1.0 / self._spring_n_m + away_m_s / self.model.most_rate_n_s
+        # A hand that runs away outruns the fastest fade.
+        yielding = 1.0 / self._spring_n_m + max(0.0, away_m_s - _SLOW_M_S) / model.most_rate_n_s
         force = min(force, self.limit_n, sqrt(2.0 * tank_j / yielding))
         # The next cycle is held, and the handle may accelerate.
-        out_m = (self.model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
+        out_m = (model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
         if force * out_m > tank_j:
             force = tank_j / out_m
         return force
