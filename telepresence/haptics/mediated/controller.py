@@ -376,6 +376,8 @@ class MediatedController(JoystickController):
         self.held_back_m = back_x + (to_x - back_x) * share, back_y + (to_y - back_y) * share
 
     def _follow_credit(self, feedback: Feedback | None, dt_s: float) -> None:
+        if self._braking:
+            self.damping_n_s_m = self.model.damping_n_s_m
         super()._follow_credit(feedback, dt_s)
         self._heard = self._heard or feedback is not None
         if not self._braking:
@@ -385,8 +387,8 @@ class MediatedController(JoystickController):
         moves = self._silent_s <= dt_s and hypot(self._vx, self._vy) > _MOVES_M_S
         turns = self._bx * self._vx + self._by * self._vy > 0.0
         self._braking = not (known or moves or turns or self._silent_s > _BRAKE_S)
-        model = self.model
-        self.damping_n_s_m = _BRAKE_N_S_M if self._braking else model.damping_n_s_m
+        if self._braking:
+            self.damping_n_s_m = _BRAKE_N_S_M
 
     def _book(self, energy_j: float) -> None:
         """Count wall and damping together: what the wall gives back, the damper takes."""
