@@ -5,6 +5,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from statistics import median
 from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
@@ -33,7 +34,7 @@ from telepresence.haptics.device.device import (
 from telepresence.haptics.device.script import Figure
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.supervision import Limits
-from telepresence.haptics.robot import RobotCapabilities
+from telepresence.haptics.robot import LEAST_FORCE_HZ, RobotCapabilities
 from telepresence.haptics.robot_device import RobotDevice, RobotReading
 from telepresence.haptics.schedule import PeriodicSchedule
 
@@ -107,7 +108,10 @@ class RobotCheck(DeviceCheck[RobotReading]):
     def readings(self) -> tuple[Figure, ...]:
         """All measurements are numbers, and follow one from the other."""
         most = 2 * self._device.capabilities.speed_m_s
+        least_hz = LEAST_FORCE_HZ if self._takes_force else None
+        same_ms = median(self._same_ms or [1])
         return (
+            Figure("measured anew", 1000 / same_ms, "Hz", least=least_hz),
             *self._number_metrics([reading[:6] for reading in self._readings]),
             Figure("steps", self._step_m_s, "m/s", most=most),
         )
