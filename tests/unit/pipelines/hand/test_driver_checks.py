@@ -333,6 +333,8 @@ SIMPLE_FAULTS = [
     (Mass, "readings", lambda d: read(d, stale(22, lambda one: one.vx_m_s > 0.005))),
     # It measures anew at 250 Hz.
     (Mass, "readings", lambda d: read(d, stale(10**6, lambda _: True, every=4))),
+    # Its encoder trembles by 0.1 mm.
+    (Lever, "rest", lambda d: read(d, lambda k, one: one._replace(x_m=one.x_m + k % 2 * 1e-4))),
     # Its plug is loose; its encoder jumps.
     (Lever, "readings", lambda d: read(d, unplug)),
     (Lever, "readings", lambda d: read(d, jump)),
