@@ -31,7 +31,7 @@ from telepresence.haptics.sample import Feedback
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
 #: Up to this speed a spring that relaxes falls slowly enough; a tremor is about as fast.
-_SLOW_M_S = 0.03
+_SLOW_M_S = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -68,7 +68,7 @@ class RendererModel:
     soften_s: float = 0.1
     steepest_n_m: float = 0.0
     acceleration_m_s2: float = 150.0
-    velocity_s: float = 0.003
+    velocity_s: float = 0.002
     old_ns: int = 5 * NS_PER_S
 
 
