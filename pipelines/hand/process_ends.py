@@ -101,7 +101,7 @@ class _Robot:
 
     def __init__(self, context: Context, bus: TopicBus, robot: Robot) -> None:
         setup, topology, boot_id = context.setup, context.topology, new_boot_id()
-        tasks, mediated = topology.options.tasks, setup.hand != "direct"
+        tasks, mediated = topology.options.tasks, setup.renders_walls
         self._kept = KeptOrders(context.session)
         first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
         orders = self._kept.recall(ROBOT, first, UNKNOWN_ROBOT)
@@ -121,7 +121,8 @@ class _Robot:
             boot_id=boot_id,
             deadband=setup.deadband != "off",
             mediated=mediated,
-            residual=setup.hand == "auto",
+            residual=setup.hand != "mediated",
+            walls_from_ns=setup.walls_from_ns,
             ownership=ownership,
             robot=robot,
         )
@@ -242,8 +243,9 @@ class _Joystick:
             context.probe,
             boot_id=new_boot_id(),
             deadband=setup.deadband != "off",
-            mediated=setup.hand != "direct",
-            residual=setup.hand == "auto",
+            mediated=setup.renders_walls,
+            residual=setup.hand != "mediated",
+            adaptive=setup.hand == "adaptive",
             handle=handle,
         )
         self._board = setup.partner_arm == "board"

@@ -111,9 +111,10 @@ def gain_of(setup: Setup, stream: VideoStream) -> CapGain | None:
 
 
 def _worthwhile_bps(setup: Setup, stream: VideoStream) -> list[int]:
-    """Return the gains in order: each gives a picture one kilobit more, the unit of x264."""
+    """Return the gains in order, up to the cap itself: each gives a picture one kilobit more."""
     profile = setup.profile_of(stream)
-    most_bps = profile.insert_octets * 8 * NS_PER_S // profile.slot_ns
+    # A receiver that was promised the cap must not get many times as much.
+    most_bps = min(stream.cap_bps, profile.insert_octets * 8 * NS_PER_S // profile.slot_ns)
     gains = []
     kilobits = _kilobits(stream, 0)
     for gain_bps in range(0, most_bps, _GRAIN_BPS):

@@ -86,7 +86,7 @@ def find_warnings(
 def hand_warnings(collector: Collector) -> list[Warning]:
     """A warning for a direct hand at a long round trip, where a rendered wall is felt better."""
     setup, topology = collector.setup, collector.topology
-    if setup.hand != "direct" or setup.partner_arm in ("shared", "board"):
+    if setup.hand in ("auto", "mediated") or setup.partner_arm in ("shared", "board"):
         return []
     if topology.alone is None:
         ways = [collector.haptics[way].latency for way in ("down", "up")]

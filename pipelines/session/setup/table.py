@@ -171,8 +171,10 @@ BATCHES_MS = (1, 2, 4)
 
 #: What the operator's hand feels. `direct`: the robot's delayed force. `mediated`: a wall that the
 #: robot's side estimates and the joystick's side renders. `auto`: that wall, and directly what it
-#: does not explain.
-HandMode = Literal["direct", "mediated", "auto"]
+#: does not explain. `adaptive`: as `direct`, and as `auto` from a round trip of 60 ms on.
+HandMode = Literal["adaptive", "direct", "mediated", "auto"]
+#: From this measured round trip on, `adaptive` renders walls.
+WALLS_FROM_NS = 60 * NS_PER_MS
 
 #: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
 #: joystick in space, once an operator has handed it over. `second`: an arm of its own. `board`:
@@ -263,7 +265,7 @@ class Setup:
     repair: Repair = "auto"
     path: PathForm = "slots"
     path_batch_ms: int = 1
-    hand: HandMode = "direct"
+    hand: HandMode = "adaptive"
     axes: int = 2
     gripper: bool = False
     rtc: RtcLeg | None = None
@@ -385,12 +387,14 @@ class Setup:
             raise ConfigError(
                 'partner_arm shared: tasks are the cosmonaut\'s, so take partner_arm = "none"'
             )
-        if self.partner_arm == "shared" and self.hand != "direct":
+        if self.partner_arm == "shared" and self.hand not in ("adaptive", "direct"):
             raise ConfigError(
                 "partner_arm shared: only the joystick in space renders walls, so take "
                 'hand = "direct", or partner_arm = "second"'
             )
-        if self.partner_arm == "board" and (self.hand, self.deadband) != ("direct", "off"):
+        if self.partner_arm == "board" and (
+            self.hand not in ("adaptive", "direct") or self.deadband != "off"
+        ):
             raise ConfigError(
                 "partner_arm board: a partner's robot tells no walls and leaves out no samples, "
                 'so take hand = "direct" and deadband = "off"'
@@ -496,6 +500,17 @@ class Setup:
         return 2 * self.radio_profile.longest_delay_ns
 
     @property
+    def renders_walls(self) -> bool:
+        """Whether the robot's side estimates walls, which the joystick's side renders."""
+        return self.hand != "direct" and self.partner_arm not in ("shared", "board")
+
+    @property
+    def walls_from_ns(self) -> int:
+        """The measured round trip (ns) from which on walls are told; 0: from the start."""
+        near = self.hand == "adaptive" and self.round_trip_ns < WALLS_FROM_NS
+        return WALLS_FROM_NS if near else 0
+
+    @property
     def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
         every = (self.uplink_video, self.uplink_voice, self.downlink_video, self.downlink_voice)
         return tuple(stream for stream in every if stream is not None)
@@ -517,7 +532,7 @@ class Setup:
     @property
     def _walls(self) -> tuple[arithmetic.StreamNeed, ...]:
         """What the messages with walls need of the uplink."""
-        if self.hand == "direct":
+        if not self.renders_walls or self.walls_from_ns:
             return ()
         payload_bps = 8 * WALL_OCTETS * _WALLS_PER_S
         return (
