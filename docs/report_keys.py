@@ -19,6 +19,7 @@ from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.media.media_metrics import (
     CaptureMetrics,
     DisplayMetrics,
+    EncoderMetrics,
     FocusMetrics,
     GainMetrics,
     SelectorMetrics,
@@ -62,6 +63,7 @@ TOLD: tuple[type, ...] = (
     FocusMetrics,
     SenderCounts,
     FeedbackCounts,
+    EncoderMetrics,
     GainMetrics,
     VideoReceiverCounts,
     DecoderCounts,

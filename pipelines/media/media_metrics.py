@@ -43,6 +43,14 @@ class StereoMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EncoderMetrics:
+    """The encoder of a stream of pictures."""
+
+    #: The library that codes the pictures, in words, and why it is a slower one.
+    encoder: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class GainMetrics:
     """The cap of a picture that rises while haptic samples are left out."""
 

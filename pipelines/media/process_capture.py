@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.live import LiveCapture
@@ -29,7 +29,7 @@ def run_stereo(context: Context) -> None:
     Pairs are always counted, and merged only while the topic has a reader.
     """
     clock, video, topology = context.clock, context.setup.uplink_video, context.topology
-    pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
+    pairer = StereoPairer(period_ns=video.period_ns)
     merger = StereoMerger()
     context.on_flush(
         lambda: context.probe.publish(StereoMetrics(paired=pairer.paired, single=pairer.single))
@@ -119,7 +119,7 @@ class _Camera:
         reads = context.topology.reads(row.process)
         leds = MISSION_LEDS_TOPIC in reads
         self._size = stream.width, stream.height
-        self._period_ns = NS_PER_S // stream.fps
+        self._period_ns = stream.period_ns
         self._writer = bus.writer(row.topic, max_octets=_octets(*self._size))
         self._source = open_video(
             context.setup.source(name),

@@ -2,7 +2,7 @@
 
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.metrics import Flat
-from kontur_av.report import Latency, Report
+from kontur_av.report import Latency, PayloadRates, Report
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 
@@ -74,15 +74,12 @@ class OutputReport(Report, frozen=True, kw_only=True):
     voice: Flat[VoiceReceiverCounts] | None = None
 
 
-class ReceiveReport(Report, frozen=True, kw_only=True):
+class ReceiveReport(PayloadRates, frozen=True, kw_only=True):
     """The report of `receive`; `failed` says what went wrong."""
 
     stream: str
     seconds: float
     seconds_of_stream: float
-    payload_bps_mean: float
-    payload_bps_max_1s: float
-    payload_bps_max_100ms: float
     output: Flat[OutputReport]
     latency_ms: ReceivedLatency | None
     cpu_s: float

@@ -148,7 +148,7 @@ class Showing:
 def _staleness(setup: Setup, stream: VideoStream | VoiceStream) -> Staleness:
     stale_after_ns = setup.stale_after_ns(stream)
     if isinstance(stream, VideoStream):
-        frozen_after_ns = FROZEN_PERIODS * NS_PER_S // stream.coded_hz
+        frozen_after_ns = round(FROZEN_PERIODS * NS_PER_S / stream.coded_hz)
         return Staleness(stale_after_ns=stale_after_ns, frozen_after_ns=frozen_after_ns)
     return Staleness(stale_after_ns=stale_after_ns, span_ns=BLOCK_NS)
 

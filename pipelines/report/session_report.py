@@ -7,11 +7,12 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.codecs.decoder import DecoderCounts
+from kontur_av.report import rates
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.media.media_metrics import GainMetrics
+from pipelines.media.media_metrics import EncoderMetrics, GainMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics
 from pipelines.report import model, sections, silence
 from pipelines.report.collector import Collector
@@ -153,6 +154,7 @@ def stream_report(
     row = collector.topology.media(stream.name)
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     gain, display = sender.find(GainMetrics), collector.shown(stream.name)
+    encoder = sender.find(EncoderMetrics)
     seconds, newest_ns = max(seconds, 1e-9), metrics.last_latency_ns
     if now_ns is not None:
         state, age_ns = silence.shown_now(stream, collector, now_ns)
@@ -164,9 +166,8 @@ def stream_report(
         gain=gain,
         size=(stream.width, stream.height) if isinstance(stream, VideoStream) else None,
         coded_size=stream.coded_size if isinstance(stream, VideoStream) else None,
-        payload_bps_mean=round(metrics.rate.octets * 8 / seconds),
-        payload_bps_max_1s=round(metrics.rate.max_bps(NS_PER_S)),
-        payload_bps_max_100ms=round(metrics.rate.max_bps(100 * NS_PER_MS)),
+        encoder=None if encoder is None else encoder.encoder,
+        **rates(metrics.rate, metrics.rate.octets * 8 / seconds),
         above_cap_bps=round(metrics.above_cap_bps[0]),
         rate_bps=None if now_ns is None else round(silence.last_bps(metrics.rate, now_ns)),
         sender=sender.total(SenderCounts),

@@ -86,8 +86,8 @@ def missed_ns(stream: VideoStream | VoiceStream) -> int:
     return _missed_ns(stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S)
 
 
-def _missed_ns(fps: int) -> int:
-    return max(MISSED_NS, _MISSED_PERIODS * NS_PER_S // fps)
+def _missed_ns(fps: float) -> int:
+    return max(MISSED_NS, round(_MISSED_PERIODS * NS_PER_S / fps))
 
 
 def signal_ns(segment: str, collector: Collector) -> int:

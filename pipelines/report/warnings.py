@@ -179,7 +179,7 @@ def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
 
 
 def picture_warnings(
-    stream: str, *, fps: int, seconds: float, captured: int, refused: int, displayed: int | None
+    stream: str, *, fps: float, seconds: float, captured: int, refused: int, displayed: int | None
 ) -> list[Warning]:
     """Whether too few pictures were captured or shown over a free channel.
 

@@ -130,7 +130,7 @@ class Camera(_Input):
         self,
         scene: Scene,
         name: str,
-        fps: int,
+        fps: float,
         film: Worker | None,
         show: ShowPicture,
         ahead: Callable[[Shot], object] | None = None,
@@ -177,11 +177,11 @@ class Stereo:
     def __init__(
         self,
         scene: Scene,
-        fps: int,
+        fps: float,
         show: ShowPicture,
         on_halves: Sequence[Callable[[int], None]] = (),
     ) -> None:
-        self._pairer = StereoPairer(period_ns=NS_PER_S // fps)
+        self._pairer = StereoPairer(period_ns=round(NS_PER_S / fps))
         self._on_halves = on_halves
         self._agenda, self._show = scene.agenda, show
         merged = scene.topology.topic(scene.topology.camera(STEREO).topic)

@@ -12,7 +12,7 @@ from typing import Literal, get_args, get_origin
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import PREFERENCES, Preference, coded_rate_for, coded_size_for
 from kontur_av.codecs.opus import bitrate_under_cap
-from kontur_av.errors import ConfigError, one_of, refused
+from kontur_av.errors import ConfigError, number, one_of, refused
 from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
 from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.former_names import INPUTS
@@ -74,7 +74,7 @@ class VideoStream:
     cap_bps: int
     width: int = 640
     height: int = 480
-    fps: int = 30
+    fps: float = 30
     prefer: Preference = "quality"
     coded: tuple[int, int] | None = None
     codec: VideoCodec = "h264"
@@ -94,8 +94,8 @@ class VideoStream:
                 f"{self.name}: least cap of {self.least_bps / 1000:g} kbit/s; take 10 to the cap, "
                 f"{self.cap_bps / 1000:g}"
             )
-        if not 1 <= self.fps <= 120:
-            raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
+        fps = number(self.fps, f"{self.name}: fps", least=1, most=120)
+        object.__setattr__(self, "fps", fps)
         one_of(self.prefer, PREFERENCES, f"{self.name}: prefer")
         one_of(self.codec, VIDEO_CODECS, f"{self.name}: codec")
         _check_stale_after(self)
@@ -120,7 +120,12 @@ class VideoStream:
         return self.coded or coded_size_for(*size, self.coded_hz, self.cap_bps, self.codec)
 
     @property
-    def coded_hz(self) -> int:
+    def period_ns(self) -> int:
+        """The time from one picture of its cameras to the next."""
+        return round(NS_PER_S / self.fps)
+
+    @property
+    def coded_hz(self) -> float:
         """The pictures a second for which the encoder is made."""
         return coded_rate_for(self.fps, self.cap_bps, self.prefer)
 
@@ -132,7 +137,8 @@ class VideoStream:
     @property
     def packets_per_s(self) -> int:
         """The packets a second if pictures of equal size fill the cap."""
-        return self.coded_hz * ceil(self.cap_bps / (8 * self.coded_hz * self.payload_octets))
+        packets = ceil(self.cap_bps / (8 * self.coded_hz * self.payload_octets))
+        return ceil(self.coded_hz * packets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -487,7 +493,7 @@ class Setup:
         if stream.stale_after_ms is not None:
             return round(stream.stale_after_ms * NS_PER_MS)
         rate = stream.coded_hz if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
-        own_ns = _STALE_NS + _STALE_PERIODS * NS_PER_S // rate
+        own_ns = _STALE_NS + round(_STALE_PERIODS * NS_PER_S / rate)
         return self.radio_profile.longest_delay_ns + own_ns
 
     @property

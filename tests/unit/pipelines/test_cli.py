@@ -210,7 +210,7 @@ REFUSALS = {
         "TONE --cap-kbps 6": "a cap of 6 kbit/s: ",
         "TONE --channel-kbps 60": "lower the cap",
         "TONE --seconds 0": "above 0",
-        "TONE --sdp /nowhere/x.sdp": "--sdp",
+        "TONE --sdp /nowhere/x.sdp": "name a file in an open folder",
         "FILM --size 640": "WIDTHxHEIGHT",
         "FILM --size 641x480": "even",
     },
