@@ -18,13 +18,13 @@ from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.media.media_metrics import (
     CaptureMetrics,
+    CompositionMetrics,
     DisplayMetrics,
     EncoderMetrics,
     FocusMetrics,
     GainMetrics,
     SelectorMetrics,
     SnapshotMetrics,
-    StereoMetrics,
 )
 from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics, TmtcMetrics
 from pipelines.packets.bridge import FrameMetrics, PacketsMetrics
@@ -58,7 +58,7 @@ TOLD: tuple[type, ...] = (
     RequestMetrics,
     LoopMetrics,
     CaptureMetrics,
-    StereoMetrics,
+    CompositionMetrics,
     SelectorMetrics,
     FocusMetrics,
     SenderCounts,

@@ -33,10 +33,10 @@ class CaptureMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StereoMetrics:
-    """The merge of two cameras."""
+class CompositionMetrics:
+    """A camera that is composed of two, such as the stereo pair."""
 
-    #: Pictures merged of two.
+    #: Pictures composed of two.
     paired: int = 0
     #: Pictures with one camera only.
     single: int = 0

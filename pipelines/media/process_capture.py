@@ -1,4 +1,4 @@
-"""The processes of an input, from its source or a browser page, and of the stereo merge."""
+"""The processes of an input, from its source or a browser page."""
 
 import numpy as np
 
@@ -7,72 +7,17 @@ from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.live import LiveCapture
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, PageVideo
-from kontur_av.sources.stereo import StereoPairer
 from kontur_av.sources.user import UserSource
-from kontur_av.topics.bus import Lease, Reader, TopicBus
-from pipelines.media.following import HALVES_TOPIC, TIP_EVERY_NS
-from pipelines.media.marking import StereoMerger
-from pipelines.media.media_metrics import StereoMetrics
+from kontur_av.topics.bus import Reader, TopicBus
+from pipelines.media.following import TIP_EVERY_NS
 from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC
 from pipelines.session.process import TIMEOUT_NS, Context
-from pipelines.session.setup.table import STEREO, STEREO_INPUTS, VideoStream
+from pipelines.session.setup.table import VideoStream
 from pipelines.session.topic_ends import TopicReader, TopicWriter, newest_state
 from pipelines.session.topology.rows import InputRow
 from pipelines.session.training import TRAINER_TOPIC
 from telepresence.world import audio_scenes, video_scenes
-
-
-def run_stereo(context: Context) -> None:
-    """Publish the left part of the left camera and the right part of the right one as one picture.
-
-    Pairs are always counted, and merged only while the topic has a reader.
-    """
-    clock, video, topology = context.clock, context.setup.uplink_video, context.topology
-    pairer = StereoPairer(period_ns=video.period_ns)
-    merger = StereoMerger()
-    context.on_flush(
-        lambda: context.probe.publish(StereoMetrics(paired=pairer.paired, single=pairer.single))
-    )
-    with context.open_bus() as bus:
-        writer = bus.writer(
-            topology.camera(STEREO).topic, max_octets=video.width * video.height * 3 // 2
-        )
-        halves = TopicWriter(bus, HALVES_TOPIC)
-        readers = [bus.reader(topology.input(name).topic) for name in STEREO_INPUTS]
-        # The pairer may use a camera's last picture again, so its lease is kept until the next.
-        leases: list[Lease | None] = [None, None]
-
-        def publish_pairs() -> None:
-            while (pair := pairer.next_event()) is not None:
-                halves.publish(pair.oldest_ns, pair.stamp.capture_ns)
-                if not writer.has_readers():
-                    continue
-                loan = writer.loan_picture(video.width, video.height)
-                merger.handle_pair(pair, loan.picture, clock.now_ns())
-                loan.publish(pair.stamp)
-
-        waiter = bus.waiter(readers)
-        while not context.stopping:
-            now_ns = clock.now_ns()
-            context.tick(now_ns)
-            due_ns = pairer.poll_timeout()
-            waiter.wait(TIMEOUT_NS if due_ns is None else min(TIMEOUT_NS, due_ns - now_ns))
-            for side, reader in enumerate(readers):
-                lease = reader.latest()
-                if lease is None:
-                    continue
-                handle = pairer.handle_right if side else pairer.handle_left
-                handle(lease.video(), clock.now_ns())
-                # Publish before the release of the previous picture, which a pair may still use.
-                publish_pairs()
-                previous, leases[side] = leases[side], lease
-                if previous is not None:
-                    previous.release()
-            pairer.handle_timeout(clock.now_ns())
-            publish_pairs()
-        del waiter
-
 
 #: How long to wait for the input's own source while a page has the input. It is read on, so that it
 #: neither stalls nor gives a burst of old pictures afterwards.
@@ -142,8 +87,12 @@ class _Camera:
         context.on_flush(self._report)
         #: Where a user's class sees the robot's tip, in cameras that begin with this input.
         self._tips, self._tip_due_ns = TopicWriter(bus, row.tip_topic), 0
-        cameras = context.topology.cameras
-        self._cameras = [camera.name for camera in cameras if camera.inputs[0] == name]
+        self._cameras = [
+            camera.name
+            for camera in context.topology.cameras
+            if camera.inputs[0] == name
+            and (camera.composition is None or camera.composition.begins_in_place)
+        ]
         self._name = name
         self._exercises = TopicReader(bus, TRAINER_TOPIC) if TRAINER_TOPIC in reads else None
         self._lost_until_ns = 0

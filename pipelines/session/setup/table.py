@@ -15,6 +15,7 @@ from kontur_av.codecs.opus import bitrate_under_cap
 from kontur_av.errors import ConfigError, number, one_of, refused
 from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
 from kontur_av.streams.budget import Pacer
+from pipelines.session.setup.composition import STEREO, STEREO_PAIR, Composition
 from pipelines.session.setup.former_names import INPUTS
 from pipelines.session.setup.segments import Direction
 from telepresence.haptics.axes import AxisName, more_axes, sample_octets
@@ -29,10 +30,6 @@ from telepresence.link.radio.profile import RadioProfile, built_in_radio, delaye
 from telepresence.link.repair.symbols import has_codes
 from telepresence.world import DEFAULT_SCENES
 from telepresence.world.board import BoardView
-
-#: The camera that is merged from the inputs `left` and `right`.
-STEREO = "stereo"
-STEREO_INPUTS = ("left", "right")
 
 GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC = "ground_mic", "operator_camera", "operator_mic"
 
@@ -224,7 +221,8 @@ class Setup:
 
     cameras: the cameras that can be selected for the uplink video; the first is selected at the
         start. `stereo` is merged from the inputs `left` and `right`; any other is the input of the
-        same name.
+        same name, or one of `composed`.
+    composed: by their names, cameras that show two inputs in one picture (docs/cameras.md).
     sources: for each input its source, as on the command line (`--source NAME=SPEC`).
     radio: how the radio delays and loses frames: a profile, or a built-in one's name
         (docs/radio.md). `telepresence.link.radio.load_radio` reads one from a file.
@@ -255,6 +253,10 @@ class Setup:
     name: str
     uplink_video: VideoStream
     cameras: tuple[str, ...]
+    composed: Mapping[str, Composition] = field(
+        default_factory=dict,
+        metadata={"like": 'a table of tables, like work = {compose = ["head", "wrist"]}'},
+    )
     uplink_voice: VoiceStream | None = None
     downlink_video: VideoStream | None = None
     downlink_voice: VoiceStream | None = None
@@ -291,6 +293,8 @@ class Setup:
         for camera in self.cameras:
             if self.cameras.count(camera) > 1:
                 raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
+        self._check_composed()
+        for camera in {*self.cameras, *self.camera_inputs}:
             _check_camera(camera)
             if camera in (GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC, *INPUTS):
                 raise ConfigError(
@@ -349,6 +353,23 @@ class Setup:
     def more_axes(self) -> tuple[AxisName, ...]:
         """The axes behind x and y."""
         return more_axes(self.axes, self.gripper)
+
+    def _check_composed(self) -> None:
+        for name, made in self.composed.items():
+            if name == STEREO or name not in self.cameras:
+                raise ConfigError(
+                    f"composed.{name}: cameras does not name it: add it there"
+                    if name != STEREO
+                    else f"composed.{name}: it is built in: give yours another name"
+                )
+            made.check(name, self.uplink_video.width, self.uplink_video.height)
+            for part in made.compose:
+                if self.composition(part) is not None:
+                    what = "itself" if part == name else f"{part}, which is composed, too"
+                    raise ConfigError(
+                        f"composed.{name}: it is composed of {what}: name cameras that have "
+                        "sources of their own"
+                    )
 
     def _make_room(self) -> None:
         """Give both directions an insert zone for a sample of all axes."""
@@ -419,9 +440,11 @@ class Setup:
 
         That of `stereo` is its left half's: the board's plane is at the same pixels in both.
         """
-        inputs = STEREO_INPUTS if camera == STEREO else (camera,)
+        if camera in self.composed:
+            return None
+        inputs = self.inputs_of(camera)
         kinds, _, scenes = zip(*(self.source(name).partition(":") for name in inputs), strict=True)
-        if set(kinds) != {"scene"} or (camera == STEREO and scenes != STEREO_INPUTS):
+        if set(kinds) != {"scene"} or (camera == STEREO and scenes != inputs):
             return None
         return scenes[0] if scenes[0] in _BOARD_SCENES else None
 
@@ -436,10 +459,16 @@ class Setup:
 
     @property
     def camera_inputs(self) -> tuple[str, ...]:
-        names: list[str] = []
-        for camera in self.cameras:
-            names += STEREO_INPUTS if camera == STEREO else (camera,)
-        return tuple(dict.fromkeys(names))
+        return tuple(dict.fromkeys(name for one in self.cameras for name in self.inputs_of(one)))
+
+    def composition(self, camera: str) -> Composition | None:
+        """How a camera is composed; None if it is an input."""
+        return STEREO_PAIR if camera == STEREO else self.composed.get(camera)
+
+    def inputs_of(self, camera: str) -> tuple[str, ...]:
+        """The inputs that a camera shows."""
+        made = self.composition(camera)
+        return (camera,) if made is None else made.compose
 
     @property
     def inputs(self) -> tuple[str, ...]:
