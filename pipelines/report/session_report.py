@@ -259,10 +259,13 @@ def failures(
             continue
         still_ns = silence.stopped_ns(stream, collector)
         heard_ns = signals_ns[collector.topology.media(stream.name).direction.receiver.value]
-        long_enough = min(whole_ns, heard_ns) >= silence.MISSED_NS + delay_ns
-        if long_enough and collector.shown(stream.name).frames_displayed == 0:
-            if not silence.waits_for_page(stream, collector):
-                found.append(f"{stream.name}: nothing was displayed")
+        met_ns = silence.met_ns(collector.topology.media(stream.name).direction.receiver, collector)
+        never = collector.shown(stream.name).frames_displayed == 0
+        if never and min(whole_ns, met_ns) >= silence.MISSED_NS + delay_ns:
+            # What nobody gives is not missed, unless the session has shown no picture at all.
+            if not silence.waits_for_page(stream, collector) or silence.is_blind(collector):
+                why = silence.why_nothing(stream, collector)
+                found.append(f"{stream.name}: nothing was displayed: {why}")
         elif min(still_ns, heard_ns) >= silence.missed_ns(stream) + delay_ns:
             found.append(
                 f"{stream.name}: nothing was displayed in the last {still_ns / NS_PER_S:.1f} s, "
