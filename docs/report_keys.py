@@ -23,6 +23,7 @@ from pipelines.media.media_metrics import (
     EncoderMetrics,
     FocusMetrics,
     GainMetrics,
+    PlaybackMetrics,
     SelectorMetrics,
     SnapshotMetrics,
 )
@@ -69,6 +70,7 @@ TOLD: tuple[type, ...] = (
     DecoderCounts,
     VoiceReceiverCounts,
     DisplayMetrics,
+    PlaybackMetrics,
     SnapshotMetrics,
     GatewayMetrics,
     SocketMetrics,

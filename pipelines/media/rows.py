@@ -133,7 +133,10 @@ def _displays(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
             segment=segment,
             stage=Stage.SINK,
             run="pipelines.media.process_display:run_display",
-            arguments={"streams": tuple(row.stream for row in rows)},
+            arguments={
+                "streams": tuple(row.stream for row in rows),
+                "playback": getattr(session.setup.playback, segment.value),
+            },
             priority=VOICE_PRIORITY,
             reads=tuple(row.received_topic for row in rows),
             writes=(*(row.displayed_topic for row in videos), *(row.lag_topic for row in videos)),

@@ -28,7 +28,7 @@ from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
-from pipelines.media.media_metrics import CodingCosts, DisplayMetrics, GainMetrics
+from pipelines.media.media_metrics import CodingCosts, DisplayMetrics, GainMetrics, PlaybackMetrics
 from pipelines.mission.mission_metrics import ComponentMetrics
 from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
@@ -114,6 +114,8 @@ class StreamReport(SentStream, frozen=True, kw_only=True):
     #: Of pictures only.
     decoder: Received[Flat[DecoderCounts]] | None = None
     display: Received[Flat[DisplayMetrics]]
+    #: Of a voice that a loudspeaker plays.
+    playback: Received[Flat[PlaybackMetrics]] | None = None
     displayed_hz: Received[float]
     stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.

@@ -12,7 +12,7 @@ from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.media.media_metrics import EncoderMetrics, GainMetrics
+from pipelines.media.media_metrics import EncoderMetrics, GainMetrics, PlaybackMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics
 from pipelines.report import model, sections, silence
 from pipelines.report.collector import Collector
@@ -154,7 +154,7 @@ def stream_report(
     row = collector.topology.media(stream.name)
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     gain, display = sender.find(GainMetrics), collector.shown(stream.name)
-    encoder = sender.find(EncoderMetrics)
+    encoder, voice = sender.find(EncoderMetrics), isinstance(stream, VoiceStream)
     seconds, newest_ns = max(seconds, 1e-9), metrics.last_latency_ns
     if now_ns is not None:
         state, age_ns = silence.shown_now(stream, collector, now_ns)
@@ -176,6 +176,7 @@ def stream_report(
         voice=receiver.find(VoiceReceiverCounts),
         decoder=receiver.find(DecoderCounts),
         display=display,
+        playback=collector.process(row.display).find(PlaybackMetrics) if voice else None,
         displayed_hz=round(display.frames_displayed / seconds, 2),
         stale_after_ms=_ms(collector.setup.stale_after_ns(stream)),
         latency_ms=stream_latency_ms(metrics),

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.paced_sender import SenderCounts
-from pipelines.media.media_metrics import CaptureMetrics
+from pipelines.media.media_metrics import CaptureMetrics, PlaybackMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 from pipelines.session.session_metrics import LEFT_OUT_SHARE, LoopMetrics
@@ -79,6 +79,12 @@ def find_warnings(
                 if topology.alone is None
                 else None,
             )
+    for row in topology.processes_here:
+        played = collector.process(row.name).find(PlaybackMetrics)
+        if played is not None and played.play_fault:
+            fix = "choose another loudspeaker in [playback] of the setup, or leave it out"
+            words = f"its loudspeaker does not play: {played.play_fault}"
+            found.append(Warning(what="playback", where=row.name, measured=words, fix=fix))
     found += hand_warnings(collector)
     return [*found, *find_path_warnings(collector, topology.segments)]
 

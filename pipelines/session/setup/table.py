@@ -3,6 +3,7 @@
 A user's own setup is a TOML file with the same fields: `pipelines.session.setup.setup_file`.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -216,6 +217,14 @@ class RtcLeg:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Playback:
+    """By end: the loudspeaker that plays its voice; None: it is silent. See `loudspeaker`."""
+
+    ground: str | None = None
+    space: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Setup:
     """A telepresence session: its cameras, its streams and their caps, its link and its radio.
 
@@ -244,6 +253,7 @@ class Setup:
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
+    playback: where the operator in space, and the ground, hear the voice (docs/setups.md).
     recorded_cameras: which cameras a recording has beside the streams (docs/recordings.md).
     region: what of the uplink video is coded finer where no person says (docs/video.md).
     region_points: for a camera other than a built-in scene, the four corners of the task board in
@@ -278,6 +288,7 @@ class Setup:
     partner_arm: PartnerArm = "none"
     tasks: bool = False
     safety: SafetyLimits = field(default_factory=SafetyLimits)
+    playback: Playback = field(default_factory=Playback)
     recorded_cameras: RecordedCameras = "idle"
     region: RegionChoice = "off"
     region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(
@@ -304,6 +315,7 @@ class Setup:
             if get_origin(each.type) is Literal:
                 one_of(getattr(self, each.name), get_args(each.type), each.name)
         self._check_partner_arm()
+        self._check_playback()
         if self.rtc is not None and self.downlink_video and self.downlink_video.codec != "h264":
             raise ConfigError(
                 "downlink_video: it goes on to the browsers of a partner, which take H.264: "
@@ -353,6 +365,18 @@ class Setup:
     def more_axes(self) -> tuple[AxisName, ...]:
         """The axes behind x and y."""
         return more_axes(self.axes, self.gripper)
+
+    def _check_playback(self) -> None:
+        for end, voice in (("ground", "downlink_voice"), ("space", "uplink_voice")):
+            where: str | None = getattr(self.playback, end)
+            if where is None:
+                continue
+            if getattr(self, voice) is None:
+                raise ConfigError(f"playback.{end}: there is no {voice} to play: add [{voice}]")
+            if where != "default" and not re.fullmatch(r"(alsa|pulse):.+", where):
+                raise ConfigError(
+                    f"playback.{end} {where!r}: write default, alsa:DEVICE or pulse:SINK"
+                )
 
     def _check_composed(self) -> None:
         for name, made in self.composed.items():

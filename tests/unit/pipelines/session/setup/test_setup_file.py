@@ -8,7 +8,7 @@ import pytest
 from kontur_av.errors import ConfigError
 from pipelines.session.setup.composition import Composition
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.setup.table import RtcLeg, Setup
+from pipelines.session.setup.table import Playback, RtcLeg, Setup
 from telepresence.haptics.envelope import SafetyLimits
 
 EVERY_FIELD = """
@@ -54,6 +54,9 @@ codec = "h264"
 [downlink_voice]
 cap_kbps = 24
 
+[playback]
+ground = "pulse:headset"
+
 [region_points]
 wrist = [[40, 30], [280, 33.5], [300, 210], [25, 205]]
 
@@ -80,6 +83,7 @@ TABLES = {
     "cameras": ("wrist", "stereo", "both"),
     "composed": {"both": Composition(compose=("wrist", "left"), layout="inset", share=0.25)},
     "region_points": {"wrist": ((40, 30), (280, 33.5), (300, 210), (25, 205))},
+    "playback": Playback(ground="pulse:headset"),
     "rtc": RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000),
     "safety": SafetyLimits(resume_within_s=0.2, slow_m_s=0.05),
     "inputs": ("wrist", "left", "right", "ground_mic", "operator_camera", "operator_mic"),
@@ -192,6 +196,11 @@ OWN, END = "composed.static = {compose = ", "}\n" + TOML
         ),
         (f"composed.roof.compose = ['left', 'right']\n{TOML}", "cameras does not name it: add it"),
         (f"composed.stereo.compose = ['left', 'right']\n{TOML}", "give yours another name"),
+        ('playback.space = "jack:x"\nuplink_voice.cap_kbps = 7\n' + TOML, "write default, alsa:DE"),
+        (
+            'playback.ground = "default"\n' + TOML,
+            r"no downlink_voice to play: add \[downlink_voice",
+        ),
         ("sources = 3\n" + TOML, "sources must be a table"),
         ('sources = {head = "x.mp4"}\n' + TOML, "left, right, static"),
         ("uplink_voice = 8\n" + TOML, r"table \[uplink_voice\]"),
