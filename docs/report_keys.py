@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import msgspec
 
 from kontur_av.codecs.decoder import DecoderCounts
+from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
@@ -23,7 +24,6 @@ from pipelines.media.media_metrics import (
     EncoderMetrics,
     FocusMetrics,
     GainMetrics,
-    PlaybackMetrics,
     SelectorMetrics,
     SnapshotMetrics,
 )
@@ -70,7 +70,7 @@ TOLD: tuple[type, ...] = (
     DecoderCounts,
     VoiceReceiverCounts,
     DisplayMetrics,
-    PlaybackMetrics,
+    LoudspeakerCounts,
     SnapshotMetrics,
     GatewayMetrics,
     SocketMetrics,

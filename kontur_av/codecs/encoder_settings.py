@@ -147,7 +147,7 @@ class H264Settings(EncoderSettings):
     def encoder_in_use(cls) -> str:
         library = x264.found()
         if library is None:
-            return f"{super().encoder_in_use()}, because {x264.why_missing()}"
+            return f"{super().encoder_in_use()}, because {x264.looked_for()[1]}"
         return f"libx264 {library.build} itself"
 
     def open(self) -> OpenEncoder:

@@ -237,16 +237,12 @@ def _rates(options: dict[str, str]) -> str:
 
 def found() -> Library | None:
     """Load a libx264 whose build is known; None without one."""
-    return _looked_for()[0]
-
-
-def why_missing() -> str:
-    """Return why `found` has found none, in words."""
-    return _looked_for()[1]
+    return looked_for()[0]
 
 
 @cache
-def _looked_for() -> tuple[Library | None, str]:
+def looked_for() -> tuple[Library | None, str]:
+    """Return what `found` does, and why there is none, in words."""
     why = "neither PyAV's wheel nor the system has a libx264 to load"
     for path in (carried_by_pyav("x264"), find_library("x264")):
         build = re.search(r"\.(\d+)(?:\.dylib)?$", str(path))

@@ -2,12 +2,6 @@
 
 A thread drives the core and the socket. So packets leave and reports are answered in time, whatever
 the caller does.
-
-Use::
-
-    with PictureSender("192.0.2.7:5004", cap_bps=85_000, sdp="s.sdp") as end:
-        for picture in pictures:
-            end.send(picture)
 """
 
 from __future__ import annotations

@@ -1,12 +1,6 @@
 """Receives a stream as numpy pictures or sound, dated by its sender, in a few lines.
 
 A thread drives the core and the sockets. So reports leave in time, whatever the caller does.
-
-Use::
-
-    with StreamReceiver("s.sdp") as pictures:
-        for one in pictures:
-            show(one.data, one.age_ms)
 """
 
 from __future__ import annotations

@@ -81,19 +81,6 @@ class DisplayMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PlaybackMetrics:
-    """The loudspeaker of an end, in blocks of sound."""
-
-    played: int = 0
-    #: There was no room for them, or no player.
-    play_dropped: int = 0
-    #: How long after it was played a block is heard, at most.
-    play_delay_ms: Most[float] | None = None
-    #: Why it could not play, in words.
-    play_fault: str | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SelectorMetrics:
     """The selector of the camera."""
 

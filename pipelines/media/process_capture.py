@@ -1,4 +1,4 @@
-"""The processes of an input, from its source or a browser page."""
+"""The processes of an input, from its source or a browser page, and of a composed camera."""
 
 import numpy as np
 
@@ -7,9 +7,12 @@ from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.live import LiveCapture
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, PageVideo
+from kontur_av.sources.stereo import PicturePairer
 from kontur_av.sources.user import UserSource
-from kontur_av.topics.bus import Reader, TopicBus
+from kontur_av.topics.bus import Lease, Reader, TopicBus
+from pipelines.media.composing import PictureComposer
 from pipelines.media.following import TIP_EVERY_NS
+from pipelines.media.media_metrics import CompositionMetrics
 from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC
 from pipelines.session.process import TIMEOUT_NS, Context
@@ -18,6 +21,60 @@ from pipelines.session.topic_ends import TopicReader, TopicWriter, newest_state
 from pipelines.session.topology.rows import InputRow
 from pipelines.session.training import TRAINER_TOPIC
 from telepresence.world import audio_scenes, video_scenes
+
+
+def run_composing(context: Context, *, camera: str) -> None:
+    """Publish the pictures of two inputs as one.
+
+    Pairs are always counted, and composed only while the topic has a reader.
+    """
+    clock, video, topology = context.clock, context.setup.uplink_video, context.topology
+    row = topology.camera(camera)
+    assert row.composition is not None
+    pairer = PicturePairer(period_ns=video.period_ns, name=camera)
+    composer = PictureComposer(row.composition)
+    context.on_flush(
+        lambda: context.probe.publish(
+            CompositionMetrics(paired=pairer.paired, single=pairer.single)
+        )
+    )
+    with context.open_bus() as bus:
+        writer = bus.writer(row.topic, max_octets=video.width * video.height * 3 // 2)
+        oldest = TopicWriter(bus, row.oldest_topic)
+        readers = [bus.reader(topology.input(name).topic) for name in row.inputs]
+        # The pairer may use a camera's last picture again, so its lease is kept until the next.
+        leases: list[Lease | None] = [None, None]
+
+        def publish_pairs() -> None:
+            while (pair := pairer.next_event()) is not None:
+                oldest.publish(pair.oldest_ns, pair.stamp.capture_ns)
+                if not writer.has_readers():
+                    continue
+                loan = writer.loan_picture(video.width, video.height)
+                composer.handle_pair(pair, loan.picture, clock.now_ns())
+                loan.publish(pair.stamp)
+
+        waiter = bus.waiter(readers)
+        while not context.stopping:
+            now_ns = clock.now_ns()
+            context.tick(now_ns)
+            due_ns = pairer.poll_timeout()
+            waiter.wait(TIMEOUT_NS if due_ns is None else min(TIMEOUT_NS, due_ns - now_ns))
+            for side, reader in enumerate(readers):
+                lease = reader.latest()
+                if lease is None:
+                    continue
+                handle = pairer.handle_right if side else pairer.handle_left
+                handle(lease.video(), clock.now_ns())
+                # Publish before the release of the previous picture, which a pair may still use.
+                publish_pairs()
+                previous, leases[side] = leases[side], lease
+                if previous is not None:
+                    previous.release()
+            pairer.handle_timeout(clock.now_ns())
+            publish_pairs()
+        del waiter
+
 
 #: How long to wait for the input's own source while a page has the input. It is read on, so that it
 #: neither stalls nor gives a burst of old pictures afterwards.
@@ -91,7 +148,7 @@ class _Camera:
             camera.name
             for camera in context.topology.cameras
             if camera.inputs[0] == name
-            and (camera.composition is None or camera.composition.begins_in_place)
+            and (camera.composition is None or camera.composition.layout != "beside")
         ]
         self._name = name
         self._exercises = TopicReader(bus, TRAINER_TOPIC) if TRAINER_TOPIC in reads else None

@@ -1,8 +1,8 @@
 """A segment's display and loudspeaker, where pictures and sounds end.
 
-There is no screen: the instant of reading from shared memory counts as that of display. A
-loudspeaker has sound heard later (`PlaybackMetrics`). The picture that a screen would show, with a
-mark if it is stale, is published as a topic. `Showing` decides what is drawn when.
+There is no screen: the instant of reading from shared memory counts as that of display; a
+loudspeaker has sound heard later (`LoudspeakerCounts`). The picture that a screen would show, with
+a mark if it is stale, is published as a topic. `Showing` decides what is drawn when.
 """
 
 from collections.abc import Sequence
@@ -11,14 +11,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from kontur_av.media import I420, Pcm
+from kontur_av.media import I420
 from kontur_av.streams.lipsync import Lag
-from kontur_av.streams.loudspeaker import Loudspeaker
+from kontur_av.streams.loudspeaker import Loudspeaker, LoudspeakerCounts
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.marking import mark_stale
-from pipelines.media.media_metrics import PlaybackMetrics, SnapshotMetrics
+from pipelines.media.media_metrics import SnapshotMetrics
 from pipelines.media.showing import OPERATORS, Showing, SnapshotSchedule, Watching
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.setup.table import VideoStream, VoiceStream
@@ -108,35 +108,17 @@ class _Picture:
         loan.publish(frame.stamp)
 
 
-class _Speaker:
-    """A loudspeaker that need not be there: why it does not play is told, and ends nothing."""
-
-    def __init__(self, context: Context, spec: str) -> None:
-        self._speaker, self._fault = None, ""
-        self._most_ns: int | None = None
-        try:
-            self._speaker = Loudspeaker(spec, context.clock)
-        except ConfigError as error:
-            self._fault = str(error)
-        context.on_flush(lambda: context.probe.publish(self._metrics()))
-
-    def play(self, samples: Pcm) -> None:
-        delay_ns = None if self._speaker is None else self._speaker.play(samples)
-        if delay_ns is not None:
-            self._most_ns = max(delay_ns, self._most_ns or 0)
-
-    def close(self) -> None:
-        if self._speaker is not None:
-            self._speaker.close()
-
-    def _metrics(self) -> PlaybackMetrics:
-        speaker, most_ns = self._speaker, self._most_ns
-        return PlaybackMetrics(
-            played=speaker.played if speaker else 0,
-            play_dropped=speaker.dropped if speaker else 0,
-            play_delay_ms=None if most_ns is None else round(most_ns / NS_PER_MS, 1),
-            play_fault=(speaker.last_fault if speaker else self._fault) or None,
-        )
+def _loudspeaker(context: Context, spec: str | None) -> Loudspeaker | None:
+    """Return what plays; why it cannot be had is told, and ends nothing."""
+    if spec is None:
+        return None
+    try:
+        speaker = Loudspeaker(spec, context.clock)
+    except ConfigError as error:
+        context.probe.publish(LoudspeakerCounts(play_fault=str(error)))
+        return None
+    context.on_flush(lambda: context.probe.publish(speaker.counts))
+    return speaker
 
 
 def run_display(
@@ -155,7 +137,7 @@ def run_display(
     showing = Showing(context.setup, streams, context.probe)
     watching, watched = Watching(context.probe), {stream.name for stream in streams} & OPERATORS
     context.on_flush(lambda: showing.publish(clock.now_ns()))
-    speaker = None if playback is None else _Speaker(context, playback)
+    speaker = _loudspeaker(context, playback)
     with context.open_bus() as bus:
         readers = [
             bus.reader(

@@ -69,7 +69,7 @@ def _composing(session: Topology, row: CameraRow) -> ProcessRow:
         name=row.process,
         segment=Segment.GROUND,
         stage=Stage.RELAY,
-        run="pipelines.media.process_composing:run_composing",
+        run="pipelines.media.process_capture:run_composing",
         arguments={"camera": row.name},
         priority=PICTURE_PRIORITY,
         reads=tuple(session.input(name).topic for name in row.inputs),

@@ -3,6 +3,7 @@
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.metrics import Flat
 from kontur_av.report import Latency, PayloadRates, Report
+from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 
@@ -52,16 +53,10 @@ class RawReport(Report, frozen=True, kw_only=True):
 
 
 class PlayedReport(Report, frozen=True, kw_only=True):
-    """The blocks of sound that `--play` played or dropped, and how late the player has them heard.
-
-    faults: how often the player ended; `last_fault` is empty if it never did.
-    """
+    """What `--play` did, and how late the player has sound heard."""
 
     to: str
-    blocks: int
-    dropped: int
-    faults: int
-    last_fault: str
+    counts: Flat[LoudspeakerCounts]
     delay_ms: Latency | None
 
 

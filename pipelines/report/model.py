@@ -23,12 +23,13 @@ from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.metrics import Flat, is_flat
 from kontur_av.report import Latency
 from kontur_av.rtp.receiver import ReceiverCounts
+from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.sent_stream import SentStream
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
-from pipelines.media.media_metrics import CodingCosts, DisplayMetrics, GainMetrics, PlaybackMetrics
+from pipelines.media.media_metrics import CodingCosts, DisplayMetrics, GainMetrics
 from pipelines.mission.mission_metrics import ComponentMetrics
 from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
@@ -115,7 +116,7 @@ class StreamReport(SentStream, frozen=True, kw_only=True):
     decoder: Received[Flat[DecoderCounts]] | None = None
     display: Received[Flat[DisplayMetrics]]
     #: Of a voice that a loudspeaker plays.
-    playback: Received[Flat[PlaybackMetrics]] | None = None
+    playback: Received[Flat[LoudspeakerCounts]] | None = None
     displayed_hz: Received[float]
     stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.

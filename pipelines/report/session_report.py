@@ -8,11 +8,12 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.report import rates
+from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
 from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.media.media_metrics import EncoderMetrics, GainMetrics, PlaybackMetrics
+from pipelines.media.media_metrics import EncoderMetrics, GainMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics
 from pipelines.report import model, sections, silence
 from pipelines.report.collector import Collector
@@ -176,7 +177,7 @@ def stream_report(
         voice=receiver.find(VoiceReceiverCounts),
         decoder=receiver.find(DecoderCounts),
         display=display,
-        playback=collector.process(row.display).find(PlaybackMetrics) if voice else None,
+        playback=collector.process(row.display).find(LoudspeakerCounts) if voice else None,
         displayed_hz=round(display.frames_displayed / seconds, 2),
         stale_after_ms=_ms(collector.setup.stale_after_ns(stream)),
         latency_ms=stream_latency_ms(metrics),

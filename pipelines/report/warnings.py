@@ -8,8 +8,9 @@ from collections.abc import Iterable, Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.source import FILLED_BY_OTHERS
+from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.paced_sender import SenderCounts
-from pipelines.media.media_metrics import CaptureMetrics, PlaybackMetrics
+from pipelines.media.media_metrics import CaptureMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
 from pipelines.session.session_metrics import LEFT_OUT_SHARE, LoopMetrics
@@ -80,7 +81,7 @@ def find_warnings(
                 else None,
             )
     for row in topology.processes_here:
-        played = collector.process(row.name).find(PlaybackMetrics)
+        played = collector.process(row.name).find(LoudspeakerCounts)
         if played is not None and played.play_fault:
             fix = "choose another loudspeaker in [playback] of the setup, or leave it out"
             words = f"its loudspeaker does not play: {played.play_fault}"

@@ -35,11 +35,6 @@ class Composition:
     share: float = 0.3
     corner: str = "lower right"
 
-    @property
-    def begins_in_place(self) -> bool:
-        """Whether the first input's picture is where it would be alone."""
-        return self.layout != "beside"
-
     def areas(self, width: int, height: int) -> tuple[Area, Area]:
         """Where both pictures are in one of this even size."""
         middle, shown = width // 2 & ~1, height // 2 & ~1

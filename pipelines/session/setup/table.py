@@ -380,19 +380,15 @@ class Setup:
 
     def _check_composed(self) -> None:
         for name, made in self.composed.items():
-            if name == STEREO or name not in self.cameras:
-                raise ConfigError(
-                    f"composed.{name}: cameras does not name it: add it there"
-                    if name != STEREO
-                    else f"composed.{name}: it is built in: give yours another name"
-                )
+            if name == STEREO:
+                raise ConfigError(f"composed.{name}: it is built in: give yours another name")
+            if name not in self.cameras:
+                raise ConfigError(f"composed.{name}: cameras does not name it: add it there")
             made.check(name, self.uplink_video.width, self.uplink_video.height)
             for part in made.compose:
                 if self.composition(part) is not None:
-                    what = "itself" if part == name else f"{part}, which is composed, too"
                     raise ConfigError(
-                        f"composed.{name}: it is composed of {what}: name cameras that have "
-                        "sources of their own"
+                        f"composed.{name}: {part} is composed itself: name cameras with sources"
                     )
 
     def _make_room(self) -> None:
