@@ -11,11 +11,10 @@ from collections.abc import Iterable, Iterator, Mapping
 import msgspec
 
 from kontur_av.codecs.decoder import DecoderCounts
-from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
-from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts, VoiceReceiverCounts
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.media.media_metrics import (
     CaptureMetrics,

@@ -8,7 +8,6 @@ import os
 import shutil
 import subprocess
 import termios
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,9 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
-from kontur_av.metrics import Most, metrics_of
+from kontur_av.metrics import metrics_of
 from kontur_av.sources.source import RETRY_NS
+from kontur_av.streams.voice_receiver import LoudspeakerCounts
 
 #: What a device's buffer holds at most.
 BUFFER_NS = 40 * NS_PER_MS
@@ -52,21 +52,6 @@ def player_command(spec: str) -> list[str]:
     command = [program, "-q", "-t", "raw", "-f", "S16_LE", "-c", "1", "-r", str(AUDIO_CLOCK_HZ)]
     command += ["--period-time=10000", f"--buffer-time={1000 * buffer_ms}", "--start-delay=20000"]
     return [*command, "-D", device or "default"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoudspeakerCounts:
-    """A loudspeaker, in blocks of sound."""
-
-    played: int = 0
-    #: Blocks for which there was no room, or no player.
-    play_dropped: int = 0
-    #: How often the player ended.
-    play_faults: int = 0
-    #: Its last words, or why there is none.
-    play_fault: str | None = None
-    #: The longest time from playing a block to hearing it, as computed.
-    play_delay_ms: Most[float] | None = None
 
 
 class Loudspeaker(Closing):

@@ -10,8 +10,8 @@ from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, 
 from kontur_av.sources.stereo import PicturePairer
 from kontur_av.sources.user import UserSource
 from kontur_av.topics.bus import Lease, Reader, TopicBus
-from pipelines.media.composing import PictureComposer
 from pipelines.media.following import TIP_EVERY_NS
+from pipelines.media.marking import PictureComposer
 from pipelines.media.media_metrics import CompositionMetrics
 from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC

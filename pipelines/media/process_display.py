@@ -15,7 +15,8 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import I420
 from kontur_av.streams.lipsync import Lag
-from kontur_av.streams.loudspeaker import Loudspeaker, LoudspeakerCounts
+from kontur_av.streams.loudspeaker import Loudspeaker
+from kontur_av.streams.voice_receiver import LoudspeakerCounts
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.marking import mark_stale
 from pipelines.media.media_metrics import SnapshotMetrics

@@ -3,9 +3,8 @@
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.metrics import Flat
 from kontur_av.report import Latency, PayloadRates, Report
-from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
-from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts, VoiceReceiverCounts
 
 
 class ReceivedStages(Report, frozen=True, kw_only=True):

@@ -23,11 +23,10 @@ from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.metrics import Flat, is_flat
 from kontur_av.report import Latency
 from kontur_av.rtp.receiver import ReceiverCounts
-from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.sent_stream import SentStream
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
-from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts, VoiceReceiverCounts
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.media.media_metrics import CodingCosts, DisplayMetrics, GainMetrics
 from pipelines.mission.mission_metrics import ComponentMetrics

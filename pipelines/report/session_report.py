@@ -8,11 +8,10 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.report import rates
-from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
-from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts, VoiceReceiverCounts
 from pipelines.media.media_metrics import EncoderMetrics, GainMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics
 from pipelines.report import model, sections, silence

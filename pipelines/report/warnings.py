@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.source import FILLED_BY_OTHERS
-from kontur_av.streams.loudspeaker import LoudspeakerCounts
 from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts
 from pipelines.media.media_metrics import CaptureMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning

@@ -23,7 +23,7 @@ from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
 from kontur_av.sources.stereo import PicturePair
 from kontur_av.streams.voice_receiver import VoicePlayer
-from pipelines.media.composing import PictureComposer
+from pipelines.media.marking import PictureComposer
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topology.rows import CameraRow
 from telepresence.world import WorldState, audio_scenes, render
