@@ -21,10 +21,6 @@ GOLDEN = [
     (rtcp.RtcpSdesPacket(NAMES), "82ca0006 00000001 01026162 00000000 00000002 01000601 78000000"),
     (rtcp.RtcpByePacket([1, 2]), "82cb0002 00000001 00000002"),
     (rtcp.RtcpPsfbPacket(1, 1, 7), "81ce0002 00000001 00000007"),
-    (
-        rtcp.RtcpXrPacket(1, [(4, bytes(8)), (5, b"")]),
-        "80cf0005 00000001 04000002 00000000 00000000 05000000",
-    ),
     (rtcp.RtcpPsfbPacket(4, 1, 0, bytes(8)), "84ce0004 00000001 00000000 00000000 00000000"),
     # The bit mask reaches 16 packets, also beyond the wrap-around.
     (
@@ -38,8 +34,8 @@ GOLDEN = [
 def test_packets_have_the_octets_of_the_standards(packet, octets):
     assert bytes(packet) == bytes.fromhex(octets)
     assert parse_rtcp(bytes(packet)) == [packet]
-    if type(packet) not in (rtcp.RtcpSdesPacket, rtcp.RtcpRtpfbPacket, rtcp.RtcpXrPacket):
-        # aiortc reads one chunk of names, lost packets beyond 16 bits, and no extended reports.
+    if not isinstance(packet, rtcp.RtcpSdesPacket | rtcp.RtcpRtpfbPacket):
+        # aiortc reads one chunk of names only, and numbers of lost packets beyond 16 bits.
         assert bytes(peer.RtcpPacket.parse(bytes(packet))[0]) == bytes(packet)
 
 

@@ -188,7 +188,6 @@ OWN, END = "composed.static = {compose = ", "}\n" + TOML
             OWN + "['left', 'right'], layout = 'grid'" + END,
             "layout 'grid': take one of merged,",
         ),
-        (OWN + "['left', 'right'], corner = 'top'" + END, "corner 'top': take one of upper left"),
         (OWN + "['left', 'right'], share = 0.01" + END, "share 0.01: take 0.05 to 0.5"),
         (
             f"{OWN}['left', 'right'], layout = 'inset'{END}size = '48x32'",
