@@ -305,7 +305,7 @@ class Setup:
             if self.cameras.count(camera) > 1:
                 raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
         self._check_composed()
-        for camera in {*self.cameras, *self.camera_inputs}:
+        for camera in (*self.cameras, *self.camera_inputs):
             _check_camera(camera)
             if camera in (GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC, *INPUTS):
                 raise ConfigError(
