@@ -218,7 +218,7 @@ class Simulation:
         self._telling.add(lambda: probe.publish(service.report()))
         tmtc, watch = self.tmtc, CameraWatch(self.setup, end.envelope)
         if self._media is not None:
-            self._media.on_halves.append(watch.handle_halves)
+            self._media.on_oldest.append(watch.handle_oldest)
 
         def serve(now_ns: int) -> None:
             while self._orders:

@@ -113,6 +113,8 @@ def _written(thing: Any) -> Mapping[str, Any]:
             value = {"frame_octets": value.frame_octets}
         elif hasattr(value, "__dataclass_fields__"):
             value = _written(value)
+        elif key == "composed":
+            value = {name: _written(made) for name, made in value.items()}
         table[key] = value
     return table
 
@@ -139,6 +141,8 @@ def _toml(value: object) -> str:
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(_lines(value))}}}"
     if not isinstance(value, str):
         return repr(value)
     escaped = value.replace("\\", "\\\\").replace('"', '\\"')
