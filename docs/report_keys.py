@@ -14,16 +14,17 @@ from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
-from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts, VoiceReceiverCounts
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.media.media_metrics import (
     CaptureMetrics,
+    CompositionMetrics,
     DisplayMetrics,
+    EncoderMetrics,
     FocusMetrics,
     GainMetrics,
     SelectorMetrics,
     SnapshotMetrics,
-    StereoMetrics,
 )
 from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics, TmtcMetrics
 from pipelines.packets.bridge import FrameMetrics, PacketsMetrics
@@ -57,16 +58,18 @@ TOLD: tuple[type, ...] = (
     RequestMetrics,
     LoopMetrics,
     CaptureMetrics,
-    StereoMetrics,
+    CompositionMetrics,
     SelectorMetrics,
     FocusMetrics,
     SenderCounts,
     FeedbackCounts,
+    EncoderMetrics,
     GainMetrics,
     VideoReceiverCounts,
     DecoderCounts,
     VoiceReceiverCounts,
     DisplayMetrics,
+    LoudspeakerCounts,
     SnapshotMetrics,
     GatewayMetrics,
     SocketMetrics,

@@ -49,6 +49,15 @@ def one_of(text: str, choices: Sequence[_Choice], what: str) -> _Choice:
     raise ConfigError(f"{what} {text!r}: take one of {', '.join(choices)}")
 
 
+def number(value: Any, what: str, *, least: float, most: float) -> float:
+    """Return a number, an integer if it is whole. ConfigError begins with `what`."""
+    with refused(f"{what} {value!r}: give a number", TypeError, ValueError):
+        found = float(value + 0)
+    if not least <= found <= most:
+        raise ConfigError(f"{what} {found:g}: take {least:g} to {most:g}")
+    return int(found) if found.is_integer() else found
+
+
 def whole(value: Any, what: str, *, least: int, most: int) -> int:
     """Return a whole number, also of a float or of numpy. ConfigError begins with `what`."""
     try:

@@ -24,8 +24,7 @@ async def talk() -> None:
 async def listen() -> None:
     async with ka.StreamReceiver(sdp) as sound:
         async for block in sound:
-            age = "no age yet" if block.age_ms is None else f"{block.age_ms:.0f} ms old"
-            print(f"{age}, {block.quality.name}, peak {block.data.max()}")
+            print(f"{block.age_ms or 0:.0f} ms old, {block.quality.name}, peak {block.data.max()}")
 
 
 asyncio.run(talk())

@@ -102,14 +102,12 @@ def _check_known(
                 raise ConfigError(f"{name} is too large: it must be a number below 2**64")
         inner = _inner(known.get(key))
         if inner is not None:
-            parts = value if isinstance(value, list) else (value,)
-            names = [name] * len(parts)
+            tables = [(name, one) for one in (value if isinstance(value, list) else [value])]
             if get_origin(known[key]) is Mapping and isinstance(value, Mapping):
-                # A table of tables: their names are the user's.
-                names, parts = [f"{name}.{one}" for one in value], list(value.values())
-            for prefixed, each in zip(names, parts, strict=True):
+                tables = [(f"{name}.{of}", one) for of, one in value.items()]
+            for begin, each in tables:
                 if isinstance(each, Mapping):
-                    _check_known(f"{prefixed}.", each, inner)
+                    _check_known(f"{begin}.", each, inner)
 
 
 def _numbers(value: object) -> Iterator[float]:
@@ -121,7 +119,7 @@ def _numbers(value: object) -> Iterator[float]:
 
 
 def _inner(hint: Any) -> type | None:
-    """Return the dataclass in a field's type: `X`, `X | None` or `tuple[X, ...]`."""
+    """Return the dataclass in a field's type: alone, or in a union, tuple or mapping."""
     return next((each for each in (hint, *get_args(hint)) if is_dataclass(each)), None)  # type: ignore[return-value]
 
 
@@ -137,6 +135,7 @@ def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
             holder = _inner(get_type_hints(holder)[key]) or holder
         elif index == "...":
             # A value of a mapping; msgspec does not say which key it belongs to.
+            name = path.partition("[...]")[0].removeprefix(".")
             return f"{name} must be {_wanted(wrong, name, field, holder)} throughout"
         else:
             value = value[int(index)]

@@ -29,7 +29,10 @@ _LIMITS = {
     "loss": (0.0, 30.0, "%"),
     "burst": (1.0, 1000.0, "samples"),
     "blackout": (0.0, 5.0, "s"),
+    "copies": (0.0, 30.0, "%"),
     "wall": (1.0, 5000.0, "N/m"),
+    "damping": (0.0, 200.0, "N s/m"),
+    "friction": (0.0, 0.6, ""),
     "angle": (-180.0, 180.0, "degrees"),
     "place": (15.0, 65.0, "mm"),
     "free": (0.0, 60.0, "s"),
@@ -43,13 +46,15 @@ class Cell:
     delay: of the round trip (ms), half of it each way. jitter: largest random addition to the delay
     of a sample (ms, uniform), so samples overtake each other. loss: of samples each way (%), in
     bursts of `burst` samples on average (1: independent). blackout: length (s) of each of three
-    outages, of both ways, of the commands alone and of the feedback alone; 0: none.
+    outages, of both ways, of the commands alone and of the feedback alone; 0: none. copies: of the
+    samples (%), up to 200 ms later.
 
-    wall: its stiffness (N/m). angle: of the direction in which the tip meets it (degrees; 0: along
-    x). place: its distance from the middle (mm). hand: one of `HANDS`. free: free motion before
-    the first press (s). restart: the end that starts anew at `contact`, in the second press,
-    or `free`, before it. mode: of the hand. envelope: the safety envelope is in the loop and asks
-    for presses. passive: `off` leaves the passivity controllers out.
+    wall, damping, friction: its stiffness (N/m), damping (N s/m) and Coulomb coefficient. angle: of
+    the direction in which the tip meets it (degrees; 0: along x). place: its distance from the
+    middle (mm). hand: one of `HANDS`. free: free motion before the first press (s). restart: the
+    end that starts anew at `contact`, in the second press, or `free`, before it. mode: of the hand.
+    envelope: the safety envelope is in the loop and asks for presses. passive: `off` leaves the
+    passivity controllers out.
     """
 
     delay: float = 0.0
@@ -57,7 +62,10 @@ class Cell:
     loss: float = 0.0
     burst: float = 1.0
     blackout: float = 0.0
+    copies: float = 0.0
     wall: float = 5000.0
+    damping: float = 20.0
+    friction: float = 0.15
     angle: float = 0.0
     place: float = 60.0
     hand: str = "soft"
@@ -164,4 +172,7 @@ def random_cells(number: int, *, seed: int) -> Iterator[Cell]:
             free=random.choice((0.0, 3.0)),
             restart=random.choice(("none", *_ENDS)),
             at=random.choice(("contact", "free")),
+            damping=random.choice((20.0, 0.0, 5.0, 40.0, random.randint(0, 150))),
+            friction=random.choice((0.15, 0.0, 0.4)),
+            copies=random.choice((0.0, 0.0, 0.0, 20.0)),
         )

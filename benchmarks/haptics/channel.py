@@ -11,7 +11,7 @@ class SampleChannel:
     delay_ns: least delay of a datagram; jitter_ns: largest random addition (uniform). loss: share
     of lost datagrams, 0 to below 1, in bursts of `burst` on average (Gilbert's model of two states,
     E. N. Gilbert, Bell Syst. Tech. J. 39, 1960); 1: independent. dark: (begin, end) in ns of
-    outages, which lose every datagram.
+    outages, which lose all. copies: share of those that come again, up to 200 ms later.
 
     handed_over, lost: datagrams so far. delay_now_ns: of the newest that arrived.
     """
@@ -24,6 +24,7 @@ class SampleChannel:
         jitter_ns: int = 0,
         loss: float = 0.0,
         burst: float = 1.0,
+        copies: float = 0.0,
         dark: Sequence[tuple[int, int]] = (),
     ) -> None:
         self.handed_over = 0
@@ -33,7 +34,7 @@ class SampleChannel:
         # Probabilities to stay in a burst and to enter one, from loss and length of a burst.
         self._stay = 1.0 - 1.0 / burst if burst > 1.0 else loss
         self._enter = (1.0 - self._stay) * loss / (1.0 - loss)
-        self._bad = False
+        self._bad, self._copies = False, copies
         self._dark = tuple(dark)
         self._under_way: list[tuple[int, int, int, bytes]] = []
 
@@ -48,6 +49,9 @@ class SampleChannel:
         late_ns = round(self._random.random() * self._jitter_ns) if self._jitter_ns else 0
         arrives_ns = now_ns + self._delay_ns + late_ns
         heappush(self._under_way, (arrives_ns, self.handed_over, now_ns, data))
+        if self._copies and self._random.random() < self._copies:
+            again_ns = now_ns + self._delay_ns + round(self._random.random() * 200_000_000)
+            heappush(self._under_way, (again_ns, self.handed_over, now_ns, data))
 
     def poll_timeout(self) -> int | None:
         """When the next datagram arrives (ns), or None."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 from math import isnan
 from pathlib import Path
 from statistics import median
+from typing import cast
 
 from rich.table import Table
 
@@ -93,12 +94,18 @@ def run(args: argparse.Namespace) -> int:
         rows = [each for each in over if each.who == who]
         for grouping in ("band", "hand"):
             console.print(_group_table([e for e in rows if e.grouping in ("all", grouping)]))
-        console.print(_worst_table([each for each in rows if each.grouping == "all"]))
+        worst = [
+            (SUMMED[e.figure][0], f"{_number(e.worst)} {SUMMED[e.figure][1]}", e.worst_cell)
+            for e in rows
+            if e.grouping == "all"
+        ]
+        console.print(_table(f"{who}: the worst of all", ("figure", "worst", "--cell"), worst))
     checked = claims(found)
     without = [metrics for metrics in found if metrics.cell.passive == "off"]
     if without:
         checked.append(needed(without))
-    console.print(_claim_table(checked))
+    told = [(claim.text, claim.found, "yes" if claim.holds else "NO") for claim in checked]
+    console.print(_table("claims", ("claim", "found", "holds"), told))
     result: Mapping[str, Json] = {
         "seed": args.seed,
         "controllers": list(controllers),
@@ -126,8 +133,7 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
 
 
 def _row(metrics: CellMetrics) -> Json:
-    row = as_json(metrics)
-    assert isinstance(row, dict)
+    row = cast(dict[str, Json], as_json(metrics))
     return {"name": metrics.cell.name, **row, "unstable": metrics.unstable}
 
 
@@ -146,17 +152,10 @@ def _headlines(found: Sequence[CellMetrics], checked: Sequence[Claim]) -> list[H
         ):
             headlines.append(Headline(what=what, who=who, unit=unit, value=value))
     holding = sum(claim.holds for claim in checked)
-    headlines.append(
-        Headline(
-            group="claims",
-            what="claims that hold",
-            unit="",
-            value=holding,
-            target=f"all {len(checked)}",
-            met=holding == len(checked),
-        )
-    )
-    return headlines
+    target, met = f"all {len(checked)}", holding == len(checked)
+    what = "claims that hold"
+    told = Headline(group="claims", what=what, unit="", value=holding, target=target, met=met)
+    return [*headlines, told]
 
 
 def _number(value: float) -> str:
@@ -176,20 +175,10 @@ def _group_table(over: Sequence[Summary]) -> Table:
     return table
 
 
-def _worst_table(over: Sequence[Summary]) -> Table:
-    table = Table(title=f"{over[0].who}: the worst of all", title_justify="left")
-    for heading in ("figure", "worst", "--cell"):
+def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
         table.add_column(heading, overflow="fold")
-    for each in over:
-        name, unit, _ = SUMMED[each.figure]
-        table.add_row(name, f"{_number(each.worst)} {unit}", each.worst_cell)
-    return table
-
-
-def _claim_table(found: Sequence[Claim]) -> Table:
-    table = Table(title="claims", title_justify="left")
-    for heading in ("claim", "found", "holds"):
-        table.add_column(heading, overflow="fold")
-    for claim in found:
-        table.add_row(claim.text, claim.found, "yes" if claim.holds else "NO")
+    for row in rows:
+        table.add_row(*row)
     return table

@@ -35,9 +35,6 @@ def run_grid(
     if cluster is not None:
         yield from _in_order(cluster, run, cells)
         return
-    if jobs == 1:
-        yield from map(run, cells)
-        return
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("fork")) as pool:
         yield from pool.map(run, cells)
 

@@ -16,7 +16,7 @@ class BenchHand:
     """model: muscles and mass. taps: it taps at 4 Hz instead of moving freely.
 
     depth_m: that it intends behind the wall. back_s: in which it retreats. tremor_n: amplitude of a
-    tremor of 8 to 12 Hz. reflex_n_m: of a stretch reflex after 40 ms. leaves: "limp", it lets its
+    tremor of 8 to 12 Hz. reflex_n_m: of a stretch reflex after 50 ms. leaves: "limp", it lets its
     muscles go while it presses; "lets go", of the handle and of the dead-man button, too.
     """
 
@@ -43,9 +43,9 @@ HANDS: Mapping[str, BenchHand] = {
     "lets-go": BenchHand(model=hand.SOFT_GRIP, leaves="lets go"),
     "pulls-back": BenchHand(model=hand.FIRM_GRIP, back_s=0.12),
     "limp": BenchHand(model=hand.SOFT_GRIP, leaves="limp"),
-    "reflex": BenchHand(model=hand.SOFT_GRIP, reflex_n_m=150.0),
+    "reflex": BenchHand(model=hand.SOFT_GRIP, reflex_n_m=200.0),
 }
-_REFLEX_MS = 40
+_REFLEX_MS = 50
 #: Damping of a limp arm (N s/m).
 _LIMP_N_S_M = 2.0
 

@@ -14,7 +14,6 @@ from benchmarks.haptics.cell import Cell
 from benchmarks.haptics.plan import FELT_AFTER_S, FIRST, LAST, REST, START, CellPlan
 from benchmarks.haptics.run import Course
 from kontur_av.clock import NS_PER_MS
-from telepresence.haptics.board import WallModel
 from telepresence.haptics.robot import RobotModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 
@@ -207,12 +206,9 @@ def _drags(
 def contact_bound_n(cell: Cell) -> float:
     """The largest force (N) of this wall on a tip that only follows the hand.
 
-    It is the sum of two forces. The static one is that of the controller's spring and the wall in
-    series, with the hand at its intended depth behind the wall. The impact is that of the
-    tip's mass at the largest speed of the reference: v * sqrt(k * m) of an undamped wall, or of a
-    soft one's damping, v * d. An impact on a spring with a damper has no larger force than those.
+    Static, with the hand at its depth, and of an impact: v * sqrt(k * m), or v * d of a damper.
     """
-    impact_n_s_m = max(sqrt(cell.wall * RobotModel().mass_kg), WallModel().damping_n_s_m)
+    impact_n_s_m = max(sqrt(cell.wall * RobotModel().mass_kg), cell.damping)
     impact_n = RobotControllerModel().speed_m_s * impact_n_s_m
     return cell.bench_hand.depth_m * series_n_m(cell.wall) + impact_n
 

@@ -59,7 +59,12 @@ class _Ends:
             cell.bench_hand, planned.script, leaves=planned.leaves, seed=f"{seed} {cell.setting}"
         )
         self.handle = HeldJoystick(hand=self.hand)
-        wall = WallModel(x_m=cell.place / 1000.0, stiffness_n_m=cell.wall)
+        wall = WallModel(
+            x_m=cell.place / 1000.0,
+            stiffness_n_m=cell.wall,
+            damping_n_s_m=cell.damping,
+            friction=cell.friction,
+        )
         self.tip = Robot(board=TurnedBoard(wall, cell.angle))
         self._options: dict[str, Any] = {"passive": cell.passive == "on", **MODES[cell.mode]}
         self._deadband = cell.mode == "deadband"
@@ -154,5 +159,6 @@ def _channel(cell: Cell, seed: str, dark: tuple[tuple[int, int], ...]) -> Sample
         jitter_ns=round(cell.jitter * NS_PER_MS),
         loss=cell.loss / 100.0,
         burst=cell.burst,
+        copies=cell.copies / 100.0,
         dark=dark,
     )

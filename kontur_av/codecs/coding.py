@@ -67,7 +67,7 @@ _NARROWEST = 160
 _RESTLESS_SHARE = Fraction(2, 3)
 
 
-def coded_rate_for(fps: int, cap_bps: int, prefer: Preference = "quality") -> int:
+def coded_rate_for(fps: float, cap_bps: int, prefer: Preference = "quality") -> float:
     """Return the pictures a second to code. fps: pictures a second of the camera."""
     return min(fps, max(_ALWAYS_HZ, cap_bps // _PICTURE_BITS[prefer]))
 

@@ -146,7 +146,9 @@ class H264Settings(EncoderSettings):
     @classmethod
     def encoder_in_use(cls) -> str:
         library = x264.found()
-        return super().encoder_in_use() if library is None else f"libx264 {library.build} itself"
+        if library is None:
+            return f"{super().encoder_in_use()}, because {x264.looked_for()[1]}"
+        return f"libx264 {library.build} itself"
 
     def open(self) -> OpenEncoder:
         """Return libx264 itself, or else PyAV's encoder."""

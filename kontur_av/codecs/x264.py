@@ -235,17 +235,28 @@ def _rates(options: dict[str, str]) -> str:
     return ":".join(f"{name}={int(options[of]) // 1000}" for name, of in names)
 
 
-@cache
 def found() -> Library | None:
     """Load a libx264 whose build is known; None without one."""
+    return looked_for()[0]
+
+
+@cache
+def looked_for() -> tuple[Library | None, str]:
+    """Return what `found` does, and why there is none, in words."""
+    why = "neither PyAV's wheel nor the system has a libx264 to load"
     for path in (carried_by_pyav("x264"), find_library("x264")):
         build = re.search(r"\.(\d+)(?:\.dylib)?$", str(path))
-        if build is None or int(build[1]) not in _BUILDS:
+        if build is None:
+            continue
+        name = f"libx264 {build[1]}"
+        if int(build[1]) not in _BUILDS:
+            why = f"{name} is of an unknown build"
             continue
         try:
             functions = CDLL(str(path))
             opened = getattr(functions, f"x264_encoder_open_{build[1]}")
-        except (OSError, AttributeError):
+        except (OSError, AttributeError) as error:
+            why = f"{name} cannot be loaded: {error}"
             continue
         opened.restype = c_void_p
         for function, arguments in _ARGUMENTS.items():
@@ -253,8 +264,9 @@ def found() -> Library | None:
         opened.argtypes = (c_void_p,)
         library = Library(str(path), int(build[1]), functions)
         if _codes(library):
-            return library
-    return None
+            return library, ""
+        why = f"{name} codes a test picture wrongly"
+    return None, why
 
 
 def _codes(library: Library) -> bool:

@@ -5,13 +5,21 @@ A receiver tells its time (section 4.4). The sender's next report answers how lo
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from kontur_av.clock import NS_PER_S, ntp_from_unix_ns, unix_ns_from_ntp
+from kontur_av.errors import ProtocolError
 from kontur_av.modular import serial_difference
+from kontur_av.rtp.rtcp import (
+    XR_DLRR,
+    XR_RECEIVER_TIME,
+    AnyRtcpPacket,
+    RtcpSrPacket,
+    RtcpXrPacket,
+    parse_rtcp,
+)
 
-_TYPE, _TIME, _ANSWER = 207, 4, 5
-_TIME_PACKET, _ANSWER_PACKET = struct.Struct("!BBHLBBHQ"), struct.Struct("!BBHLBBHLLL")
+_TIME, _ANSWER = struct.Struct("!Q"), struct.Struct("!LLL")
 #: Of the short form of NTP's time, in which answers count; they are rounded twice.
 _SHORT_HZ, _ROUNDED_NS = 1 << 16, 2 * NS_PER_S // (1 << 16)
 #: Two clocks drift apart by a part in so many at most.
@@ -22,26 +30,29 @@ def answer_packet(ssrc: int, told: tuple[int, int, int], now_ns: int) -> bytes:
     """Return a sender's answer. told: of `read_receiver_time`. now_ns: of the report before it."""
     receiver, last, came_ns = told
     delay = (now_ns - came_ns) * _SHORT_HZ // NS_PER_S & 0xFFFF_FFFF
-    return _ANSWER_PACKET.pack(2 << 6, _TYPE, 5, ssrc, _ANSWER, 0, 3, receiver, last, delay)
+    return bytes(RtcpXrPacket(ssrc, [(XR_DLRR, _ANSWER.pack(receiver, last, delay))]))
 
 
 def read_receiver_time(datagram: bytes, now_ns: int) -> tuple[int, int, int] | None:
     """Return who tells its time, the time in NTP's short form, and when it came; None: nobody."""
-    for ssrc, kind, body in _blocks(datagram):
-        if kind == _TIME and len(body) == 8:
-            return ssrc, int.from_bytes(body[2:6], "big"), now_ns
+    for ssrc, kind, content in _blocks(_packets(datagram)):
+        if kind == XR_RECEIVER_TIME and len(content) == _TIME.size:
+            return ssrc, int.from_bytes(content[2:6], "big"), now_ns
     return None
 
 
-def _blocks(datagram: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Yield sender, type and content of the blocks of extended reports. Garbage is skipped."""
-    while len(datagram) >= 8:
-        _, kind, words, ssrc = struct.unpack_from("!BBHL", datagram)
-        packet, datagram = datagram[8 : 4 * words + 4], datagram[4 * words + 4 :]
-        while kind == _TYPE and len(packet) >= 4:
-            size = 4 + 4 * int.from_bytes(packet[2:4], "big")
-            yield ssrc, packet[0], packet[4:size]
-            packet = packet[size:]
+def _packets(datagram: bytes) -> list[AnyRtcpPacket]:
+    try:
+        return parse_rtcp(datagram)
+    except ProtocolError:
+        return []
+
+
+def _blocks(packets: Iterable[AnyRtcpPacket]) -> Iterator[tuple[int, int, bytes]]:
+    """Yield sender, type and content of the blocks of extended reports."""
+    for packet in packets:
+        if isinstance(packet, RtcpXrPacket):
+            yield from ((packet.ssrc, *block) for block in packet.blocks)
 
 
 class ClockOffset:
@@ -53,9 +64,9 @@ class ClockOffset:
 
     def __init__(self, ssrc: int, wall_offset_ns: int) -> None:
         self._ssrc, self._wall_offset_ns = ssrc, wall_offset_ns
-        self._begin(b"")
+        self._begin(None)
 
-    def _begin(self, source: bytes) -> None:
+    def _begin(self, source: int | None) -> None:
         self._source = source
         self._half_ns, self._came_ns, self.offset_ns = 1 << 62, 0, 0
         self.error_ns: int | None = None
@@ -63,22 +74,25 @@ class ClockOffset:
     def time_packet(self, now_ns: int) -> bytes:
         """Return what to send behind a receiver report."""
         ntp = ntp_from_unix_ns(now_ns + self._wall_offset_ns)
-        return _TIME_PACKET.pack(2 << 6, _TYPE, 4, self._ssrc, _TIME, 0, 2, ntp)
+        return bytes(RtcpXrPacket(self._ssrc, [(XR_RECEIVER_TIME, _TIME.pack(ntp))]))
 
     def handle_report(self, datagram: bytes, now_ns: int) -> None:
-        """Handle a sender's compound packet, which begins with its report."""
-        if datagram[4:8] != self._source:
-            self._begin(datagram[4:8])
+        """Handle a sender's compound packet, which begins with its report. Others are ignored."""
+        packets = _packets(datagram)
+        report = packets[0] if packets else None
+        if not isinstance(report, RtcpSrPacket):
+            return
+        if report.ssrc != self._source:
+            self._begin(report.ssrc)
         now = ntp_from_unix_ns(now_ns + self._wall_offset_ns) >> 16
-        for _, kind, body in _blocks(datagram):
-            if kind != _ANSWER or len(body) != 12 or len(datagram) < 16 or datagram[1] != 200:
-                continue
-            receiver, last, delay = struct.unpack("!LLL", body)
-            if receiver == self._ssrc and last:
-                passed = max(serial_difference(now - last - delay), 0)
-                sent_ns = unix_ns_from_ntp(int.from_bytes(datagram[8:16], "big"))
-                half_ns = passed * NS_PER_S // (2 * _SHORT_HZ) + _ROUNDED_NS
-                self._take(half_ns, sent_ns - self._wall_offset_ns + half_ns - now_ns, now_ns)
+        sent_ns = unix_ns_from_ntp(report.sender_info.ntp_timestamp) - self._wall_offset_ns
+        for _, kind, content in _blocks(packets):
+            whole = len(content) // _ANSWER.size * _ANSWER.size if kind == XR_DLRR else 0
+            for receiver, last, delay in _ANSWER.iter_unpack(content[:whole]):
+                if receiver == self._ssrc and last:
+                    passed = max(serial_difference(now - last - delay), 0)
+                    half_ns = passed * NS_PER_S // (2 * _SHORT_HZ) + _ROUNDED_NS
+                    self._take(half_ns, sent_ns + half_ns - now_ns, now_ns)
 
     def _take(self, half_ns: int, ahead_ns: int, now_ns: int) -> None:
         """Keep the answer of the shortest round trip, since it tells most; half_ns: half of it."""

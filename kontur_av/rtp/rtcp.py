@@ -1,4 +1,4 @@
-"""RTCP packets: reports, names, goodbyes (RFC 3550 section 6) and feedback (RFC 4585 section 6).
+"""RTCP packets: reports, names, goodbyes (RFC 3550), feedback (RFC 4585), extended ones (RFC 3611).
 
 `bytes` of a packet are its octets. `parse_rtcp` reads them; garbage raises ProtocolError.
 """
@@ -13,10 +13,11 @@ RTCP_RTPFB_NACK = 1  # RFC 4585 section 6.2.1
 RTCP_PSFB_PLI, RTCP_PSFB_APP = 1, 15  # RFC 4585 sections 6.3.1 and 6.4
 RTCP_PSFB_FIR = 4  # RFC 5104 section 4.3.1
 SDES_CNAME, SDES_TOOL = 1, 6  # RFC 3550 sections 6.5.1 and 6.5.6
+XR_RECEIVER_TIME, XR_DLRR = 4, 5  # RFC 3611 sections 4.4 and 4.5
 #: The name of this software in its receiver reports.
 TOOL = b"kontur-av"
 
-_SR, _RR, _SDES, _BYE, _RTPFB, _PSFB = 200, 201, 202, 203, 205, 206
+_SR, _RR, _SDES, _BYE, _RTPFB, _PSFB, _XR = 200, 201, 202, 203, 205, 206, 207
 #: The second octet of a datagram that is RTCP and not RTP (RFC 5761 section 4).
 _RTCP_TYPES = range(192, 224)
 _VERSION, _PADDED = 2 << 6, 1 << 5
@@ -146,8 +147,30 @@ class RtcpPsfbPacket(NamedTuple):
         return _packed(_PSFB, self.fmt, _TWO_WORDS.pack(self.ssrc, self.media_ssrc) + self.fci)
 
 
+class RtcpXrPacket(NamedTuple):
+    """Extended reports (RFC 3611 section 2). blocks: pairs of type and content, of whole words.
+
+    Of a packet that is cut off, the last content is shorter than its block says.
+    """
+
+    ssrc: int
+    blocks: Sequence[tuple[int, bytes]] = ()
+
+    def __bytes__(self) -> bytes:
+        body = _WORD.pack(self.ssrc)
+        for kind, content in self.blocks:
+            body += _HEADER.pack(kind, 0, len(content) // 4) + content
+        return _packed(_XR, 0, body)
+
+
 AnyRtcpPacket = (
-    RtcpSrPacket | RtcpRrPacket | RtcpSdesPacket | RtcpByePacket | RtcpRtpfbPacket | RtcpPsfbPacket
+    RtcpSrPacket
+    | RtcpRrPacket
+    | RtcpSdesPacket
+    | RtcpByePacket
+    | RtcpRtpfbPacket
+    | RtcpPsfbPacket
+    | RtcpXrPacket
 )
 
 
@@ -277,6 +300,16 @@ def _about_payload(body: bytes, fmt: int) -> RtcpPsfbPacket:
     return RtcpPsfbPacket(fmt, ssrc, media_ssrc, body[8:])
 
 
+def _extended(body: bytes, _: int) -> RtcpXrPacket:
+    blocks, at = [], _WORD.size
+    while at < len(body):
+        kind, _, words = _HEADER.unpack_from(body, at)
+        end = at + 4 * (words + 1)
+        blocks.append((kind, body[at + 4 : end]))
+        at = end
+    return RtcpXrPacket(_WORD.unpack_from(body)[0], blocks)
+
+
 _PARSERS: dict[int, Callable[[bytes, int], AnyRtcpPacket]] = {
     _SR: _sender_report,
     _RR: _receiver_report,
@@ -284,4 +317,5 @@ _PARSERS: dict[int, Callable[[bytes, int], AnyRtcpPacket]] = {
     _BYE: _goodbye,
     _RTPFB: _about_packets,
     _PSFB: _about_payload,
+    _XR: _extended,
 }

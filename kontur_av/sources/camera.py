@@ -7,7 +7,7 @@ from typing import Any
 
 import av
 
-from kontur_av.clock import NS_PER_S, Clock
+from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.sources.live import LiveCapture, in_time
 from kontur_av.sources.v4l2 import FORMATS, CameraMode, ask_camera, choose_mode
@@ -57,32 +57,23 @@ class CameraVideo(LiveCapture):
 
     A camera that disappears is opened again, twice a second.
 
-    demuxer: FFmpeg's name of the device library; tests use another one.
-
-    Raises ConfigError if the camera cannot be opened.
+    spec: the device. Raises ConfigError if the camera cannot be opened.
     """
 
     check_source = staticmethod(check_camera)
+    #: FFmpeg's name of the device library.
+    _demuxer = "v4l2"
 
-    def __init__(
-        self,
-        name: str,
-        width: int,
-        height: int,
-        fps: int,
-        clock: Clock,
-        device: str,
-        *,
-        demuxer: str = "v4l2",
-    ) -> None:
-        if demuxer == "v4l2":
-            _check_node(device)
-        super().__init__(name, width, height, clock, device)
-        self._demuxer = demuxer
-        wanted = CameraMode("", width, height, fps)
-        found = ask_camera(Path(device)) if demuxer == "v4l2" else None
-        mode = choose_mode(found.modes if found else (), wanted)
-        self._options = {"video_size": f"{width}x{height}", "framerate": str(fps)}
+    def _first(
+        self, spec: str, width: int, height: int, fps: float, *, wait: bool
+    ) -> av.container.InputContainer:
+        mode = None
+        if self._demuxer == "v4l2":
+            _check_node(spec)
+            found = ask_camera(Path(spec))
+            modes = found.modes if found else ()
+            mode = choose_mode(modes, CameraMode("", width, height, fps))
+        self._options = {"video_size": f"{width}x{height}", "framerate": f"{fps:g}"}
         if mode is not None:
             self._options = {
                 "input_format": FORMATS[mode.fourcc],
@@ -90,10 +81,9 @@ class CameraVideo(LiveCapture):
                 "framerate": f"{mode.fps or fps:g}",
             }
         try:
-            container = self._open()
+            return self._open()
         except (av.FFmpegError, OSError, ValueError) as error:
-            raise _cannot_open(device, error) from None
-        self._begin(container)
+            raise _cannot_open(spec, error) from None
 
     def _open(self) -> av.container.InputContainer:
         try:

@@ -226,7 +226,7 @@ class FileVideo(LoopedVideo):
     check_source = staticmethod(partial(check_file, kind="video"))
 
     def __init__(
-        self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
+        self, name: str, width: int, height: int, fps: float, clock: Clock, path: str
     ) -> None:
         self.check_source(path)
         super().__init__(name, width, height, fps, clock, path)

@@ -21,7 +21,7 @@ class Pace:
     """
 
     def __init__(
-        self, rate_hz: Fraction | int, now_ns: int, *, phase: float = 0.0, timeout: int = 1
+        self, rate_hz: Fraction | float, now_ns: int, *, phase: float = 0.0, timeout: int = 1
     ) -> None:
         # A fraction as two integers: exact, and no Fraction object for each picture.
         self._period_ns, self._parts = (Fraction(NS_PER_S) / Fraction(rate_hz)).as_integer_ratio()

@@ -11,6 +11,7 @@ import av
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.media import I420, CaptureStamp
+from kontur_av.redaction import shown_spec
 from kontur_av.sources.file import set_up_decoder
 from kontur_av.sources.fit import Fitter
 from kontur_av.sources.source import RETRY_NS, StampingSource
@@ -51,11 +52,24 @@ class LiveCapture(StampingSource, ABC):
     FFmpeg can hang in a read for ever, so a thread reads, and `read` waits for it. What fails or
     ends is opened again after a pause.
 
+    width, height: of the pictures of `read`. fps: wanted. spec: what to open. wait: open it before
+    this returns, where that can take long. Raises ConfigError as the subclass says.
+
     dated_by: "source" if captures have the input's own dates, else "arrival".
     """
 
-    def __init__(self, name: str, width: int, height: int, clock: Clock, place: str) -> None:
-        super().__init__(name, clock, place)
+    def __init__(
+        self,
+        name: str,
+        width: int,
+        height: int,
+        fps: float,
+        clock: Clock,
+        spec: str,
+        *,
+        wait: bool = True,
+    ) -> None:
+        super().__init__(name, clock, shown_spec(spec))
         self.dated_by = "arrival"
         self._fitter = Fitter(width, height)
         self._last_capture_ns = -1
@@ -63,7 +77,11 @@ class LiveCapture(StampingSource, ABC):
         self._arrived = threading.Condition()
         self._newest: tuple[av.VideoFrame, Fraction | None, int] | None = None
         self._decoded = 0
-        self._thread: threading.Thread | None = None
+        container = self._first(spec, width, height, fps, wait=wait)
+        self._thread = threading.Thread(
+            target=self._run, args=(container,), name=f"source {self._name}", daemon=True
+        )
+        self._thread.start()
 
     def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:
         with self._arrived:
@@ -83,9 +101,14 @@ class LiveCapture(StampingSource, ABC):
 
     def close(self) -> None:
         self._closing.set()
-        if self._thread is not None:
-            # The thread is a daemon, so a hung driver or peer cannot block the end of the process.
-            self._thread.join(timeout=1.0)
+        # The thread is a daemon, so a hung driver or peer cannot block the end of the process.
+        self._thread.join(timeout=1.0)
+
+    @abstractmethod
+    def _first(
+        self, spec: str, width: int, height: int, fps: float, *, wait: bool
+    ) -> av.container.InputContainer | None:
+        """Prepare for `_open`, and open the input. ConfigError. None: `_open` is called later."""
 
     @abstractmethod
     def _open(self) -> av.container.InputContainer:
@@ -101,13 +124,6 @@ class LiveCapture(StampingSource, ABC):
     def _pause_ns(self, failures: int) -> int:
         """How long to wait before it is opened again. failures: in a row, without a picture."""
         return RETRY_NS
-
-    def _begin(self, container: av.container.InputContainer | None = None) -> None:
-        """Begin to read. container: if it is open already."""
-        self._thread = threading.Thread(
-            target=self._run, args=(container,), name=f"source {self._name}", daemon=True
-        )
-        self._thread.start()
 
     def _run(self, container: av.container.InputContainer | None) -> None:
         failures = 0

@@ -39,10 +39,10 @@ class LoopedVideo(StampingSource, ABC):
     """
 
     def __init__(
-        self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
+        self, name: str, width: int, height: int, fps: float, clock: Clock, path: str
     ) -> None:
         super().__init__(name, clock, path)
-        self._period_ns = NS_PER_S // fps
+        self._period_ns = round(NS_PER_S / fps)
         #: How long the last picture of the present pass is shown, at least.
         self._step_ns = self._period_ns
         #: A picture that lasts longer than two of these is given again, each time after this; 0:

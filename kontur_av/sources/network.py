@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 import av
 
-from kontur_av.clock import NS_PER_S, NS_PER_US, Clock, MonotonicClock
+from kontur_av.clock import NS_PER_S, NS_PER_US, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.redaction import shown_spec
 from kontur_av.sources.live import STALL_S, LiveCapture, in_time
@@ -190,23 +190,14 @@ class NetworkVideo(LiveCapture):
 
     check_source = staticmethod(check_address)
 
-    def __init__(
-        self,
-        name: str,
-        width: int,
-        height: int,
-        fps: int,
-        clock: Clock,
-        spec: str,
-        *,
-        wait: bool = True,
-    ) -> None:
+    def _first(
+        self, spec: str, width: int, height: int, fps: float, *, wait: bool
+    ) -> av.container.InputContainer | None:
         self._address = _parsed(spec)
-        super().__init__(name, width, height, clock, shown_spec(spec))
         self._dates = SourceDates()
         self._offset_ns: int | None = None
         self._refused = False
-        self._begin(self._address.opened_in_time(self._place) if wait else None)
+        return self._address.opened_in_time(self._place) if wait else None
 
     def _open(self) -> av.container.InputContainer:
         self._dates, self._offset_ns, self._refused = SourceDates(), None, False

@@ -60,7 +60,7 @@ class PipeVideo(StampingSource):
     check_source = staticmethod(check_fifo)
 
     def __init__(
-        self, name: str, width: int, height: int, fps: int, clock: Clock, path: str
+        self, name: str, width: int, height: int, fps: float, clock: Clock, path: str
     ) -> None:
         check_fifo(path)
         super().__init__(name, clock, path)

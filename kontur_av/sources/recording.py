@@ -267,7 +267,7 @@ class RecordedVideo(LoopedVideo):
     check_source = staticmethod(partial(check_recording, kind="video"))
 
     def __init__(
-        self, name: str, width: int, height: int, fps: int, clock: Clock, place: str
+        self, name: str, width: int, height: int, fps: float, clock: Clock, place: str
     ) -> None:
         self.check_source(place)
         path, self._channel = parse_place(place)

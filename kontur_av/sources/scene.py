@@ -28,7 +28,7 @@ class SceneVideo(StampingSource):
     """
 
     def __init__(
-        self, draw: Draw, *, name: str, fps: int, clock: Clock, phase: float = 0.0
+        self, draw: Draw, *, name: str, fps: float, clock: Clock, phase: float = 0.0
     ) -> None:
         super().__init__(name, clock)
         self._draw = draw

@@ -83,7 +83,7 @@ class StampingSource:
 
 
 #: (name of the input, width, height, fps, clock) -> source. `width` and `height` in pixels.
-VideoSceneFactory = Callable[[str, int, int, int, Clock], VideoSource]
+VideoSceneFactory = Callable[[str, int, int, float, Clock], VideoSource]
 
 #: (name of the input, clock) -> source.
 AudioSceneFactory = Callable[[str, Clock], AudioSource]
@@ -98,7 +98,7 @@ FILLED_BY_OTHERS = (PAGE, TOPIC)
 class PageVideo(StampingSource):
     """No pictures (a `VideoSource`). Others give theirs to the process of the input."""
 
-    def __init__(self, name: str, width: int, height: int, fps: int, clock: Clock) -> None:
+    def __init__(self, name: str, width: int, height: int, fps: float, clock: Clock) -> None:
         super().__init__(name, clock)
 
     def read(self, into: I420, timeout_ns: int) -> CaptureStamp | None:

@@ -75,7 +75,7 @@ def open_video(
     name: str = "video",
     width: int = 640,
     height: int = 480,
-    fps: int = 30,
+    fps: float = 30,
     clock: Clock | None = None,
     scenes: Mapping[str, VideoSceneFactory] | None = None,
     wait: bool = True,

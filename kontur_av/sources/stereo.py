@@ -143,11 +143,11 @@ def merge(left: I420 | None, right: I420 | None, into: I420, seam: float = 0.5) 
 
 
 @dataclass(frozen=True, slots=True)
-class StereoPair:
-    """Two pictures to merge.
+class PicturePair:
+    """Two pictures to merge, or to compose in another way.
 
     left, right: None for a camera without any picture so far.
-    stamp: stamp of the merged picture. Its capture instant is the older of the two. If one camera
+    stamp: that of the composed picture. Its capture instant is the older of the two. If one camera
     repeats its last picture, it is that of the fresh one.
     left_stale, right_stale: that camera's picture is older than `stale_after_ns`.
     oldest_ns: when the older of the two was captured; 0 for a camera without a picture.
@@ -161,27 +161,30 @@ class StereoPair:
     oldest_ns: int = 0
 
 
-class StereoPairer:
+class PicturePairer:
     """Joins the pictures of two cameras by capture time. A core.
 
     Two pictures belong together if their capture times differ by at most half a period. A picture
     waits that long for its partner, but not for a stale camera. Then it is paired with the other
     camera's last picture. After each `handle_*` call, call `next_event` until it returns None.
 
-    period_ns: of the cameras.
+    period_ns: of the cameras. name: of the composed one, in its stamps.
     stale_after_ns: age from which a picture counts as stale.
 
     paired, single: pairs of two fresh pictures, and of one. dropped: pictures never used.
     """
 
-    def __init__(self, *, period_ns: int, stale_after_ns: int = 250_000_000) -> None:
+    def __init__(
+        self, *, period_ns: int, stale_after_ns: int = 250_000_000, name: str = "stereo"
+    ) -> None:
+        self._name = name
         self._half_period_ns = period_ns // 2
         self._stale_after_ns = stale_after_ns
         self._last: list[VideoFrame | None] = [None, None]
         self._fresh = [False, False]
         self._deadline_ns: int | None = None
         self._begun_ns: int | None = None
-        self._ready: StereoPair | None = None
+        self._ready: PicturePair | None = None
         self._sequence = 0
         self._last_capture_ns = -_LEAST_STEP_NS
         self.paired = 0
@@ -205,7 +208,7 @@ class StereoPairer:
         """When to call `handle_timeout`; None while no picture waits."""
         return self._deadline_ns
 
-    def next_event(self) -> StereoPair | None:
+    def next_event(self) -> PicturePair | None:
         """The next pair to merge, or None."""
         pair, self._ready = self._ready, None
         return pair
@@ -263,10 +266,10 @@ class StereoPairer:
         self.dropped += self._ready is not None
         self.paired += len(fresh) == 2
         self.single += len(fresh) == 1
-        self._ready = StereoPair(
+        self._ready = PicturePair(
             left,
             right,
-            CaptureStamp(capture_ns, self._sequence, "stereo"),
+            CaptureStamp(capture_ns, self._sequence, self._name),
             self._is_stale(0, now_ns),
             self._is_stale(1, now_ns),
             min(0 if frame is None else frame.stamp.capture_ns for frame in self._last),

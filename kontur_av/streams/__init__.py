@@ -10,11 +10,12 @@ from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
     from kontur_av.streams.encoding_thread import EncodingThread
-    from kontur_av.streams.ends import PictureSender, Received, SoundSender, StreamReceiver
     from kontur_av.streams.lipsync import LipSync
     from kontur_av.streams.paced_sender import UnitSent
+    from kontur_av.streams.senders import PictureSender, SoundSender
     from kontur_av.streams.sending import send
     from kontur_av.streams.staleness import Staleness
+    from kontur_av.streams.stream_receiver import Received, StreamReceiver
     from kontur_av.streams.udp import UdpReceiver, UdpSender
     from kontur_av.streams.video_receiver import VideoReceiver
     from kontur_av.streams.video_sender import VideoSender

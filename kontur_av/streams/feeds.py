@@ -1,5 +1,6 @@
 """What feeds a stream: a source with its encoder and the sender of its packets."""
 
+import os
 import secrets
 import socket
 from dataclasses import replace
@@ -14,7 +15,7 @@ from kontur_av.codecs.encoder_settings import Search
 from kontur_av.codecs.h26x import encoder_of, settings_of
 from kontur_av.codecs.opus import LOOKAHEAD_SAMPLES, OpusEncoder
 from kontur_av.codecs.region import Focus
-from kontur_av.errors import refused
+from kontur_av.errors import ConfigError, refused
 from kontur_av.media import (
     AUDIO_CLOCK_HZ,
     AUDIO_PAYLOAD_TYPE,
@@ -56,7 +57,7 @@ class PictureFeed:
         clock: MonotonicClock,
         *,
         size: tuple[int, int],
-        fps: int,
+        fps: float,
         cap_bps: int,
         channel_bps: int | None = None,
         coded_size: tuple[int, int] | None = None,
@@ -106,7 +107,7 @@ class PictureFeed:
         #: At most: a packet for each picture, and one more for each whole payload of the cap.
         self.packets_per_s = fps + cap_bps / 8 / DEFAULT_MAX_PAYLOAD_OCTETS
         #: Of header extensions: one for each picture, and a longer one each second.
-        self.extension_bps = 8 * 12 * (fps + 1)
+        self.extension_bps = round(8 * 12 * (fps + 1))
         self._clock = clock
         #: What the source writes to, and the newest whole picture.
         self._coming, self._newest = empty_picture(width, height), empty_picture(width, height)
@@ -219,10 +220,19 @@ def describe(feed: PictureFeed | SoundFeed, host: str, port: int) -> StreamDescr
     )
 
 
-def write_description(feed: PictureFeed | SoundFeed, to: tuple[str, int], path: str | Path) -> None:
+def checked_sdp(sdp: str | Path | None) -> Path | None:
+    """Return where to write an SDP. ConfigError unless that is a file in a folder that is there."""
+    with refused(f"sdp {sdp!r}: give a path", TypeError):
+        path = None if sdp is None else Path(sdp)
+    if path is not None and (path.is_dir() or not os.access(path.parent, os.W_OK)):
+        raise ConfigError(f"sdp {str(sdp)!r} cannot be written: name a file in an open folder")
+    return path
+
+
+def write_description(feed: PictureFeed | SoundFeed, to: tuple[str, int], path: Path) -> None:
     """Write an SDP for receivers at an IP address and port. ConfigError if it cannot be."""
-    with refused(f"sdp {str(path)!r} cannot be written", OSError, TypeError):
-        Path(path).write_text(write_sdp(describe(feed, *to)), encoding="utf-8")
+    with refused(f"sdp {str(path)!r} cannot be written"):
+        path.write_text(write_sdp(describe(feed, *to)), encoding="utf-8")
 
 
 def undescribed(

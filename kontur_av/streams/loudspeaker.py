@@ -16,7 +16,9 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from kontur_av.media import AUDIO_CLOCK_HZ, Pcm
+from kontur_av.metrics import metrics_of
 from kontur_av.sources.source import RETRY_NS
+from kontur_av.streams.voice_receiver import LoudspeakerCounts
 
 #: What a device's buffer holds at most.
 BUFFER_NS = 40 * NS_PER_MS
@@ -57,8 +59,6 @@ class Loudspeaker(Closing):
 
     A player that ends is started again, twice a second at most. Raises ConfigError as
     `player_command` does.
-
-    played, dropped: blocks. faults: how often the player ended; last_fault: its last words.
     """
 
     def __init__(self, spec: str, clock: Clock) -> None:
@@ -68,8 +68,13 @@ class Loudspeaker(Closing):
         #: When all sound that the player has read will have been heard.
         self._heard_ns = 0
         self._unread = 0
-        self.played = self.dropped = self.faults = 0
-        self.last_fault = ""
+        self.played = self.play_dropped = self.play_faults = 0
+        self.play_fault: str | None = None
+        self.play_delay_ms: float | None = None
+
+    @property
+    def counts(self) -> LoudspeakerCounts:
+        return metrics_of(LoudspeakerCounts, self)
 
     def play(self, samples: Pcm) -> int | None:
         """Hand a block over; return in how many ns its first sample is heard. None: dropped.
@@ -82,7 +87,7 @@ class Loudspeaker(Closing):
             self._start(now_ns)
         pipe = None if self._process is None else self._process.stdin
         if pipe is None:
-            self.dropped += 1
+            self.play_dropped += 1
             return None
         octets = np.ascontiguousarray(samples, "<i2").tobytes()
         try:
@@ -91,15 +96,17 @@ class Loudspeaker(Closing):
             # A pipe takes up to a page whole, or nothing.
             os.write(pipe.fileno(), octets)
         except BlockingIOError:
-            self.dropped += 1
+            self.play_dropped += 1
             return None
         except OSError:
             self._fail(now_ns)
-            self.dropped += 1
+            self.play_dropped += 1
             return None
         self._unread = waiting + len(octets)
         self.played += 1
-        return max(self._heard_ns - now_ns, 0) + _duration_ns(waiting)
+        delay_ns = max(self._heard_ns - now_ns, 0) + _duration_ns(waiting)
+        self.play_delay_ms = max(round(delay_ns / NS_PER_MS, 1), self.play_delay_ms or 0.0)
+        return delay_ns
 
     def close(self) -> None:
         """End the player, after what it has."""
@@ -131,8 +138,8 @@ class Loudspeaker(Closing):
                 self._command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, bufsize=0
             )
         except OSError as error:
-            self.faults += 1
-            self.last_fault = str(error)
+            self.play_faults += 1
+            self.play_fault = str(error)
             return
         assert process.stdin is not None and process.stderr is not None
         fcntl.fcntl(process.stdin, fcntl.F_SETPIPE_SZ, _PIPE_OCTETS)
@@ -144,8 +151,8 @@ class Loudspeaker(Closing):
         process = self._process
         assert process is not None and process.stderr is not None
         told = (process.stderr.read() or b"").decode("utf-8", "replace").strip().splitlines()
-        self.faults += 1
-        self.last_fault = told[-1] if told else "the player ended without a reason"
+        self.play_faults += 1
+        self.play_fault = told[-1] if told else "the player ended without a reason"
         self._retry_ns = now_ns + RETRY_NS
         self.close()
 

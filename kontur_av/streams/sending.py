@@ -1,7 +1,7 @@
 """Sends a stream in real time, and reports it. A shell."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from operator import index
 from pathlib import Path
@@ -9,18 +9,18 @@ from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.codecs.encoder_settings import SEARCHES, Search
-from kontur_av.errors import ConfigError, one_of, refused, whole
+from kontur_av.errors import number, one_of, refused, whole
 from kontur_av.hosts import check_reachable, parse_address
 from kontur_av.media import VIDEO_CODECS, VideoCodec
 from kontur_av.meters import Histogram
-from kontur_av.metrics import Flat
-from kontur_av.report import Latency, Report, latency_ms
+from kontur_av.report import Latency, Report, latency_ms, rates
 from kontur_av.sources import AudioSource, VideoSource, open_audio, open_video
 from kontur_av.sources.live import LiveCapture
 from kontur_av.streams.budget import LEAST_BPS, MOST_BPS
 from kontur_av.streams.encoding_thread import switch_threads_often
-from kontur_av.streams.feeds import PictureFeed, SoundFeed, write_description
-from kontur_av.streams.paced_sender import SenderCounts, UnitSent
+from kontur_av.streams.feeds import PictureFeed, SoundFeed, checked_sdp, write_description
+from kontur_av.streams.paced_sender import UnitSent
+from kontur_av.streams.sent_stream import SentStream
 from kontur_av.streams.udp import UdpSender
 
 
@@ -46,25 +46,16 @@ class SourceReport(Report, frozen=True, kw_only=True):
     dated_by: str | None = None
 
 
-class SendReport(Report, frozen=True, kw_only=True):
+class SendReport(SentStream, frozen=True, kw_only=True):
     """The report of `send`; `failed` says what went wrong."""
 
     stream: str
     seconds: float
-    cap_bps: int
-    payload_bps_mean: float
-    payload_bps_max_1s: float
-    payload_bps_max_100ms: float
-    sender: Flat[SenderCounts]
     rtp_payload_octets: int
     send_errors: int
     latency_ms: SentLatency
     source: SourceReport
     cpu_s: float
-    size: tuple[int, int] | None = None
-    coded_size: tuple[int, int] | None = None
-    #: The library that codes the pictures, in words.
-    encoder: str | None = None
     failed: list[str]
 
 
@@ -153,11 +144,10 @@ class SendShell:
     def _report(self, start_ns: int) -> SendReport:
         feed, sender, now_ns = self._feed, self._sender, self._clock.now_ns()
         counts, released = sender.counts, sender.released
-        largest_bps = released.max_bps(NS_PER_S)
         failed = []
         if not counts.frames_sent:
             failed.append(f"nothing was captured: {feed.source.last_fault or 'the source is mute'}")
-        if largest_bps > sender.cap_bps:
+        if released.max_bps(NS_PER_S) > sender.cap_bps:
             failed.append("the cap was broken")
         if self._udp.failed:
             failed.append(f"{self._udp.failed} datagrams could not be sent")
@@ -165,9 +155,7 @@ class SendShell:
             stream=feed.kind,
             seconds=(now_ns - start_ns) / NS_PER_S,
             cap_bps=sender.cap_bps,
-            payload_bps_mean=released.mean_bps(),
-            payload_bps_max_1s=largest_bps,
-            payload_bps_max_100ms=released.max_bps(100 * NS_PER_MS),
+            **rates(released),
             sender=counts,
             rtp_payload_octets=released.octets,
             send_errors=self._udp.failed,
@@ -197,13 +185,14 @@ def send(
     cap_bps: int,
     sound: bool = False,
     size: tuple[int, int] = (640, 480),
-    fps: int = 30,
+    fps: float = 30,
     codec: VideoCodec = "h264",
     channel_bps: int | None = None,
     coded_size: tuple[int, int] | None = None,
     refresh_s: float | None = None,
     search: Search = "thorough",
     sdp: str | Path | None = None,
+    scenes: Mapping[str, Any] | None = None,
     seconds: float | None = None,
     stopped: Callable[[], bool] = lambda: False,
     say: Callable[[str], object] | None = None,
@@ -217,6 +206,7 @@ def send(
     leave; None: the cap.
     size, fps, codec, coded_size, refresh_s, search: of pictures, as of `VideoEncoder`.
     sdp: a file for the receiver, written before the first packet.
+    scenes: as of `open_video` or `open_audio`.
     seconds, stopped: when to end: after this time, once it returns True, or at Ctrl-C.
     say: takes a line of figures each second, such as `print`.
 
@@ -224,26 +214,33 @@ def send(
     """
     cap_bps = whole(cap_bps, "cap_bps", least=LEAST_BPS, most=MOST_BPS)
     address, clock = parse_address(str(to), "to"), MonotonicClock()
-    fps = whole(fps, "fps", least=1, most=120)
+    fps = number(fps, "fps", least=1, most=120)
     codec, search = one_of(codec, VIDEO_CODECS, "codec"), one_of(search, SEARCHES, "search")
     with refused(f"size {size!r}: give (width, height)", TypeError, ValueError):
         width, height = map(index, size)
-    with refused("refresh_s and seconds: give numbers", TypeError, ValueError):
-        seconds = None if seconds is None else float(seconds)
-        if refresh_s is not None and not 0.1 <= refresh_s <= 600:
-            raise ConfigError(f"refresh_s {refresh_s:g}: take 0.1 to 600 seconds")
+    if refresh_s is not None:
+        refresh_s = number(refresh_s, "refresh_s", least=0.1, most=600)
+    if seconds is not None:
+        seconds = number(seconds, "seconds", least=0.01, most=1e9)
+    path = checked_sdp(sdp)
     feed: PictureFeed | SoundFeed
     if sound:
         heard: Any = source
         if isinstance(source, str):
-            heard = open_audio(source, name="audio", clock=clock)
+            heard = open_audio(source, name="audio", clock=clock, scenes=scenes)
         feed = SoundFeed(heard, clock, cap_bps=cap_bps, channel_bps=channel_bps)
     else:
         switch_threads_often()
         seen: Any = source
         if isinstance(source, str):
             seen = open_video(
-                source, name="video", width=width, height=height, fps=fps, clock=clock
+                source,
+                name="video",
+                width=width,
+                height=height,
+                fps=fps,
+                clock=clock,
+                scenes=scenes,
             )
         feed = PictureFeed(
             seen,
@@ -258,8 +255,8 @@ def send(
             codec=codec,
         )
     with closing(feed):
-        if sdp is not None:
-            write_description(feed, address, sdp)
+        if path is not None:
+            write_description(feed, address, path)
         check_reachable(address)
         with closing(UdpSender(*address)) as udp:
             return SendShell(feed, udp, clock, say).run(stopped, seconds)

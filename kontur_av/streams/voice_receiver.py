@@ -14,7 +14,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.opus import OpusDecoder
 from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ, AUDIO_PAYLOAD_TYPE, CaptureStamp, Pcm, Quality
-from kontur_av.metrics import Flat, Newest
+from kontur_av.metrics import Flat, Most, Newest
 from kontur_av.rtp.feedback import ReceptionReporter
 from kontur_av.rtp.payload_opus import SlowClock
 from kontur_av.rtp.playout import PlayoutBlock, PlayoutBuffer
@@ -56,6 +56,21 @@ class VoiceReceiverCounts:
     frames_shortened: int = 0
     #: Silence inserted to play later.
     inserted_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoudspeakerCounts:
+    """A loudspeaker, in blocks of sound."""
+
+    played: int = 0
+    #: Blocks for which there was no room, or no player.
+    play_dropped: int = 0
+    #: How often the player ended.
+    play_faults: int = 0
+    #: Its last words, or why there is none.
+    play_fault: str | None = None
+    #: The longest time from playing a block to hearing it, as computed.
+    play_delay_ms: Most[float] | None = None
 
 
 class VoiceReceiver(ReportingReceiver):

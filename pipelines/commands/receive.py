@@ -78,8 +78,8 @@ def run(args: argparse.Namespace) -> int:
     # What a full disk has taken is not known: FFmpeg writes some seconds at once.
     short = writer is not None and writer.written < _SAVED_AT_LEAST * output.decoded
     failed = report.failed + [one.fault for one in (writer, live, raw) if one and one.fault]
-    if speaker is not None and speaker.faults:
-        failed.append(f"--play {args.play!r} has failed: {speaker.last_fault}")
+    if speaker is not None and speaker.play_faults:
+        failed.append(f"--play {args.play!r} has failed: {speaker.play_fault}")
     if writer is not None and short and not writer.fault:
         failed.append(
             f"--save {args.save!r}: {writer.written} of {output.decoded} decoded are in the file"
@@ -110,10 +110,7 @@ def _played(spec: str, speaker: Loudspeaker, output: PictureOutput | SoundOutput
     assert isinstance(output, SoundOutput)
     return PlayedReport(
         to=spec,
-        blocks=speaker.played,
-        dropped=speaker.dropped,
-        faults=speaker.faults,
-        last_fault=speaker.last_fault,
+        counts=speaker.counts,
         delay_ms=latency_ms(output.player_ns) if output.player_ns.count else None,
     )
 

@@ -4,14 +4,12 @@ import argparse
 
 from msgspec.structs import replace
 
-from kontur_av.clock import MonotonicClock
 from kontur_av.codecs.coding import REFRESH_S, SLOW_REFRESH_S
 from kontur_av.codecs.encoder_settings import SEARCHES
-from kontur_av.hosts import parse_address
 from kontur_av.media import VIDEO_CODECS, parse_size
 from kontur_av.streams.sending import send
 from pipelines.commands.common import check_options
-from pipelines.media.sending import open_pictures, open_sound
+from pipelines.media.sending import scenes_of
 from pipelines.report.report_file import check_writable, end_with
 from pipelines.session.command_process import reader_gone, say, stopped_by_signals
 from pipelines.session.option_rows import add_options
@@ -50,15 +48,12 @@ def run(args: argparse.Namespace) -> int:
     Raises ConfigError, with nothing sent, for what cannot work.
     """
     check_options(args, "cap_kbps", "channel_kbps")
-    parse_address(args.to)
     check_writable(args.report)
-    if args.sdp:
-        check_writable(args.sdp, "--sdp")
-    auto = args.coded_size == "auto"
-    sound, clock = args.video is None, MonotonicClock()
+    auto, sound = args.coded_size == "auto", args.video is None
+    spec = args.audio if sound else args.video
     with stopped_by_signals() as stopped:
         report = send(
-            open_sound(args, clock) if sound else open_pictures(args, clock),
+            spec,
             args.to,
             cap_bps=round(args.cap_kbps * 1000),
             sound=sound,
@@ -70,6 +65,7 @@ def run(args: argparse.Namespace) -> int:
             refresh_s=args.refresh_s,
             search=args.search,
             sdp=args.sdp,
+            scenes=scenes_of(spec, sound=sound),
             seconds=args.seconds,
             stopped=lambda: stopped() or reader_gone(),
             say=say,

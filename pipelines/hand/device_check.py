@@ -279,14 +279,18 @@ class DeviceCheck(Generic[R]):
         """What the device gets, when it exerts this force (N, N)."""
         return wanted[0] * reading.vx_m_s + wanted[1] * reading.vy_m_s
 
+    @property
+    def _same_ms(self) -> list[int]:
+        """How long each measurement stayed the same in motion."""
+        # Before its first motion and after its last it may measure the same.
+        return [len(list(run)) for _, run in groupby(self._pushed)][1:-1]
+
     def _number_metrics(self, readings: Sequence[Sequence[Any]]) -> tuple[Figure, ...]:
         """Figures of the numbers in all readings: not finite, the same again."""
         wrong = sum(not all(map(isfinite, numbers)) for numbers in readings)
-        # Before its first motion and after its last it may measure the same.
-        runs = [len(list(run)) for _, run in groupby(self._pushed)][1:-1]
         return (
             Figure("not numbers", wrong, most=0),
-            Figure("same in motion", max(runs, default=0), "ms", most=_MOST_SAME_MS),
+            Figure("same in motion", max(self._same_ms, default=0), "ms", most=_MOST_SAME_MS),
             *(() if self._axis is None else (self._beyond_limits(self._axis),)),
         )
 

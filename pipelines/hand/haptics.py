@@ -91,15 +91,15 @@ def robot_side(
     deadband: bool = False,
     mediated: bool = False,
     residual: bool = False,
+    walls_from_ns: int = 0,
     ownership: ControlAuthority | None = None,
     robot: Robot | None = None,
     plane: Sequence[str] = ("x", "y"),
 ) -> RobotSide:
     """Return a robot's side within the limits of its envelope.
 
-    boot_id: 1 to 2^24-1; no earlier start of this end had it. residual: see `RobotSide`.
-    ownership: where a partner may drive, too. robot: the simulated one, if None. plane: as
-    `RobotSide` has it.
+    boot_id: 1 to 2^24-1; no earlier start of this end had it. residual, walls_from_ns, plane: see
+    `RobotSide`. ownership: where a partner may drive, too. robot: the simulated one, if None.
     """
     limits = envelope.limits
     max_age_ns = round(limits.command_max_age_s * NS_PER_S)
@@ -114,6 +114,7 @@ def robot_side(
         ),
         mediated=mediated,
         residual=residual,
+        walls_from_ns=walls_from_ns,
         ownership=ownership,
         envelope=envelope,
         robot=robot,
@@ -248,7 +249,8 @@ class JoystickEnd(_End[JoystickSide]):
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
         is reported, too.
     boot_id: as in `robot_side`.
-    mediated, residual: the hand feels the wall that `handle_wall` takes (see `JoystickSide`).
+    mediated, residual, adaptive: the hand feels the wall that `handle_wall` takes (see
+        `JoystickSide`).
     """
 
     def __init__(
@@ -259,11 +261,14 @@ class JoystickEnd(_End[JoystickSide]):
         deadband: bool = False,
         mediated: bool = False,
         residual: bool = False,
+        adaptive: bool = False,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
         more = 0 if handle is None else len(handle.more)
         link = joystick_link(boot_id=boot_id, deadband=deadband, more=more)
-        side = JoystickSide(link=link, handle=handle, mediated=mediated, residual=residual)
+        side = JoystickSide(
+            link=link, handle=handle, mediated=mediated, residual=residual, adaptive=adaptive
+        )
         super().__init__(side, probe)
         self.handle_wall = self.side.handle_wall
         held = self.side.handle

@@ -34,7 +34,7 @@ from pipelines.hand.safety_ends import (
     within,
 )
 from pipelines.hand.timed_calls import take_power
-from pipelines.media.following import HALVES_TOPIC, ROBOT_TIPS_TOPIC, SELECTED_TOPIC, TIP_EVERY_NS
+from pipelines.media.following import ROBOT_TIPS_TOPIC, SELECTED_TOPIC, TIP_EVERY_NS
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
@@ -46,7 +46,6 @@ from pipelines.session.mission_messages import (
     PanelShown,
 )
 from pipelines.session.process import Context
-from pipelines.session.setup.table import STEREO
 from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology.streams import TELEMETRY
@@ -101,7 +100,7 @@ class _Robot:
 
     def __init__(self, context: Context, bus: TopicBus, robot: Robot) -> None:
         setup, topology, boot_id = context.setup, context.topology, new_boot_id()
-        tasks, mediated = topology.options.tasks, setup.hand != "direct"
+        tasks, mediated = topology.options.tasks, setup.renders_walls
         self._kept = KeptOrders(context.session)
         first = RobotOrders(powered=True, mode=ControlMode.TELEPRESENCE.value)
         orders = self._kept.recall(ROBOT, first, UNKNOWN_ROBOT)
@@ -121,7 +120,8 @@ class _Robot:
             boot_id=boot_id,
             deadband=setup.deadband != "off",
             mediated=mediated,
-            residual=setup.hand == "auto",
+            residual=setup.hand != "mediated",
+            walls_from_ns=setup.walls_from_ns,
             ownership=ownership,
             robot=robot,
             plane=setup.axes,
@@ -153,7 +153,7 @@ class _Robot:
         self._tips, self._tips_due_ns = TopicWriter(bus, ROBOT_TIPS_TOPIC), 0
         self._view = CameraWatch(setup, envelope)
         self._choices = TopicReader(bus, SELECTED_TOPIC)
-        self._halves = TopicReader(bus, HALVES_TOPIC, opened=STEREO in setup.cameras)
+        self._oldest = {row.name: TopicReader(bus, row.oldest_topic) for row in topology.composed}
         trained = TRAINER_TOPIC in topology.reads(ROBOT)
         self._exercises = TopicReader(bus, TRAINER_TOPIC, opened=trained)
 
@@ -194,11 +194,12 @@ class _Robot:
             self._status.publish(status, now_ns)
 
     def _watch_cameras(self, now_ns: int) -> None:
-        """Hold the robot at a change of the camera, and at half a frozen picture."""
+        """Hold the robot at a change of the camera, and at a picture that is frozen in part."""
         if (choice := self._choices.latest()) is not None:
             self._view.handle_choice(choice.camera)
-        if (oldest_ns := self._halves.latest()) is not None:
-            self._view.handle_halves(oldest_ns)
+        for camera, oldest in self._oldest.items():
+            if (oldest_ns := oldest.latest()) is not None:
+                self._view.handle_oldest(camera, oldest_ns)
         self._view.handle_time(now_ns)
 
 
@@ -245,8 +246,9 @@ class _Joystick:
             context.probe,
             boot_id=new_boot_id(),
             deadband=setup.deadband != "off",
-            mediated=setup.hand != "direct",
-            residual=setup.hand == "auto",
+            mediated=setup.renders_walls,
+            residual=setup.hand != "mediated",
+            adaptive=setup.hand == "adaptive",
             handle=handle,
         )
         self._board = setup.partner_arm == "board"

@@ -10,7 +10,7 @@ from pipelines.hand.hand_topics import (
     ROS2_HAND_TOPIC,
 )
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
-from pipelines.media.following import HALVES_TOPIC, ROBOT_TIPS_TOPIC, SELECTED_TOPIC
+from pipelines.media.following import ROBOT_TIPS_TOPIC, SELECTED_TOPIC
 from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
     MISSION_PANEL_TOPIC,
@@ -57,7 +57,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 TRAINER_TOPIC,
                 # What the operator looks at: a change of it holds the robot.
                 SELECTED_TOPIC,
-                HALVES_TOPIC,
+                *(row.oldest_topic for row in session.composed),
             ),
             writes=(
                 ROBOT_TOPIC,

@@ -12,7 +12,7 @@ from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC, JoystickOrders, RobotOrders
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC
-from pipelines.session.setup.table import STEREO, Setup
+from pipelines.session.setup.table import Setup
 from pipelines.session.topic_ends import TopicReader
 from telepresence.haptics.device.page import NO_PICTURE
 from telepresence.haptics.envelope import Hold, SafetyEnvelope, SafetyLimits
@@ -51,7 +51,7 @@ class OperatorView:
 
 
 class CameraWatch:
-    """At the robot: a change of the selected camera, and the frozen half of a merged picture.
+    """At the robot: a change of the selected camera, and the frozen part of a composed picture.
 
     A change needs a new press. Call `handle_time` every few cycles.
     """
@@ -60,20 +60,21 @@ class CameraWatch:
         self._stale_ns = setup.stale_after_ns(setup.uplink_video)
         self._envelope = envelope
         self._camera: str | None = None
-        self._captured_ns: int | None = None
+        #: By composed camera.
+        self._captured_ns: dict[str | None, int] = {}
 
     def handle_choice(self, camera: str) -> None:
         if self._camera is not None and camera != self._camera:
             self._envelope.require_press(Hold.CAMERA)
         self._camera = camera
 
-    def handle_halves(self, captured_ns: int) -> None:
-        """The older half of the newest merged picture was captured then."""
-        self._captured_ns = captured_ns
+    def handle_oldest(self, camera: str, captured_ns: int) -> None:
+        """The older part of the newest picture of a composed camera was captured then."""
+        self._captured_ns[camera] = captured_ns
 
     def handle_time(self, now_ns: int) -> None:
-        """Tell whether the operator looks at a merged picture of which a half is too old."""
-        captured_ns = self._captured_ns if self._camera == STEREO else None
+        """Tell whether the operator looks at a composed picture of which a part is too old."""
+        captured_ns = self._captured_ns.get(self._camera)
         self._envelope.blind = captured_ns is not None and now_ns - captured_ns > self._stale_ns
 
 

@@ -35,9 +35,6 @@ FOLLOWED_TOPIC = Topic[int](
 ROBOT_TIPS_TOPIC = Topic[Tips](
     "robot/tips", Tips, "where the robot's driver sees its tip, by camera"
 )
-HALVES_TOPIC = Topic[int](
-    "camera/halves", int, "when the older half of the merged picture was captured (ns)"
-)
 
 
 class CameraFollower:

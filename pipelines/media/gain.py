@@ -7,6 +7,7 @@ room is no longer there. docs/experiments/haptics.md has the measured gain.
 """
 
 from fractions import Fraction
+from math import ceil
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.coding import SLOW_REFRESH_S, Coding
@@ -111,9 +112,10 @@ def gain_of(setup: Setup, stream: VideoStream) -> CapGain | None:
 
 
 def _worthwhile_bps(setup: Setup, stream: VideoStream) -> list[int]:
-    """Return the gains in order: each gives a picture one kilobit more, the unit of x264."""
+    """Return the gains in order, up to the cap itself: each gives a picture one kilobit more."""
     profile = setup.profile_of(stream)
-    most_bps = profile.insert_octets * 8 * NS_PER_S // profile.slot_ns
+    # A receiver that was promised the cap must not get many times as much.
+    most_bps = min(stream.cap_bps, profile.insert_octets * 8 * NS_PER_S // profile.slot_ns)
     gains = []
     kilobits = _kilobits(stream, 0)
     for gain_bps in range(0, most_bps, _GRAIN_BPS):
@@ -128,7 +130,7 @@ def _kilobits(stream: VideoStream, gain_bps: int) -> int:
     settings = settings_of(stream.codec)(
         width=width,
         height=height,
-        rate=Fraction(stream.coded_hz),
+        rate=Fraction(stream.coded_hz).limit_denominator(1001),
         cap_bps=stream.cap_bps + gain_bps,
         refresh_s=SLOW_REFRESH_S,
     )
@@ -145,8 +147,8 @@ class LeftOut:
     def __init__(self, stream: VideoStream) -> None:
         self.every, self.all = 0, False
         spare_hz = stream.coded_hz - stream.least_fps
-        self._least = -(-stream.coded_hz // spare_hz) if spare_hz > 0 else None
-        self._period_ns = NS_PER_S // stream.coded_hz
+        self._least = ceil(stream.coded_hz / spare_hz) if spare_hz > 0 else None
+        self._period_ns = round(NS_PER_S / stream.coded_hz)
         self._last_ns = 0
 
     def leaves_out(self, capture_ns: int) -> bool:

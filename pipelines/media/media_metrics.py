@@ -33,13 +33,21 @@ class CaptureMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StereoMetrics:
-    """The merge of two cameras."""
+class CompositionMetrics:
+    """A camera that is composed of two, such as the stereo pair."""
 
-    #: Pictures merged of two.
+    #: Pictures composed of two.
     paired: int = 0
     #: Pictures with one camera only.
     single: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncoderMetrics:
+    """The encoder of a stream of pictures."""
+
+    #: The library that codes the pictures, in words, and why it is a slower one.
+    encoder: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

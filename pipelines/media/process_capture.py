@@ -1,55 +1,57 @@
-"""The processes of an input, from its source or a browser page, and of the stereo merge."""
+"""The processes of an input, from its source or a browser page, and of a composed camera."""
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS
 from kontur_av.media import I420, CaptureStamp
 from kontur_av.sources import SceneVideo, open_audio, open_video
 from kontur_av.sources.live import LiveCapture
 from kontur_av.sources.source import BLOCK_NS, BLOCK_SAMPLES, TOPIC, PageAudio, PageVideo
-from kontur_av.sources.stereo import StereoPairer
+from kontur_av.sources.stereo import PicturePairer
 from kontur_av.sources.user import UserSource
 from kontur_av.topics.bus import Lease, Reader, TopicBus
-from pipelines.media.following import HALVES_TOPIC, TIP_EVERY_NS
-from pipelines.media.marking import StereoMerger
-from pipelines.media.media_metrics import StereoMetrics
+from pipelines.media.following import TIP_EVERY_NS
+from pipelines.media.marking import PictureComposer
+from pipelines.media.media_metrics import CompositionMetrics
 from pipelines.media.taking_over import Capturing, Previewing, Takeover, preview_size
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC
 from pipelines.session.process import TIMEOUT_NS, Context
-from pipelines.session.setup.table import STEREO, STEREO_INPUTS, VideoStream
+from pipelines.session.setup.table import VideoStream
 from pipelines.session.topic_ends import TopicReader, TopicWriter, newest_state
 from pipelines.session.topology.rows import InputRow
 from pipelines.session.training import TRAINER_TOPIC
 from telepresence.world import audio_scenes, video_scenes
 
 
-def run_stereo(context: Context) -> None:
-    """Publish the left part of the left camera and the right part of the right one as one picture.
+def run_composing(context: Context, *, camera: str) -> None:
+    """Publish the pictures of two inputs as one.
 
-    Pairs are always counted, and merged only while the topic has a reader.
+    Pairs are always counted, and composed only while the topic has a reader.
     """
     clock, video, topology = context.clock, context.setup.uplink_video, context.topology
-    pairer = StereoPairer(period_ns=NS_PER_S // video.fps)
-    merger = StereoMerger()
+    row = topology.camera(camera)
+    assert row.composition is not None
+    pairer = PicturePairer(period_ns=video.period_ns, name=camera)
+    composer = PictureComposer(row.composition)
     context.on_flush(
-        lambda: context.probe.publish(StereoMetrics(paired=pairer.paired, single=pairer.single))
+        lambda: context.probe.publish(
+            CompositionMetrics(paired=pairer.paired, single=pairer.single)
+        )
     )
     with context.open_bus() as bus:
-        writer = bus.writer(
-            topology.camera(STEREO).topic, max_octets=video.width * video.height * 3 // 2
-        )
-        halves = TopicWriter(bus, HALVES_TOPIC)
-        readers = [bus.reader(topology.input(name).topic) for name in STEREO_INPUTS]
+        writer = bus.writer(row.topic, max_octets=video.width * video.height * 3 // 2)
+        oldest = TopicWriter(bus, row.oldest_topic)
+        readers = [bus.reader(topology.input(name).topic) for name in row.inputs]
         # The pairer may use a camera's last picture again, so its lease is kept until the next.
         leases: list[Lease | None] = [None, None]
 
         def publish_pairs() -> None:
             while (pair := pairer.next_event()) is not None:
-                halves.publish(pair.oldest_ns, pair.stamp.capture_ns)
+                oldest.publish(pair.oldest_ns, pair.stamp.capture_ns)
                 if not writer.has_readers():
                     continue
                 loan = writer.loan_picture(video.width, video.height)
-                merger.handle_pair(pair, loan.picture, clock.now_ns())
+                composer.handle_pair(pair, loan.picture, clock.now_ns())
                 loan.publish(pair.stamp)
 
         waiter = bus.waiter(readers)
@@ -119,7 +121,7 @@ class _Camera:
         reads = context.topology.reads(row.process)
         leds = MISSION_LEDS_TOPIC in reads
         self._size = stream.width, stream.height
-        self._period_ns = NS_PER_S // stream.fps
+        self._period_ns = stream.period_ns
         self._writer = bus.writer(row.topic, max_octets=_octets(*self._size))
         self._source = open_video(
             context.setup.source(name),
@@ -142,8 +144,12 @@ class _Camera:
         context.on_flush(self._report)
         #: Where a user's class sees the robot's tip, in cameras that begin with this input.
         self._tips, self._tip_due_ns = TopicWriter(bus, row.tip_topic), 0
-        cameras = context.topology.cameras
-        self._cameras = [camera.name for camera in cameras if camera.inputs[0] == name]
+        self._cameras = [
+            camera.name
+            for camera in context.topology.cameras
+            if camera.inputs[0] == name
+            and (camera.composition is None or camera.composition.layout != "beside")
+        ]
         self._name = name
         self._exercises = TopicReader(bus, TRAINER_TOPIC) if TRAINER_TOPIC in reads else None
         self._lost_until_ns = 0

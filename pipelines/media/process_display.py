@@ -1,8 +1,8 @@
 """A segment's display and loudspeaker, where pictures and sounds end.
 
-There is no screen and no sound card: the instant of reading from shared memory counts as the
-instant of display. The picture that a screen would show, with a mark if it is stale, is published
-as a topic. `Showing` decides what is drawn when.
+There is no screen: the instant of reading from shared memory counts as that of display; a
+loudspeaker has sound heard later (`LoudspeakerCounts`). The picture that a screen would show, with
+a mark if it is stale, is published as a topic. `Showing` decides what is drawn when.
 """
 
 from collections.abc import Sequence
@@ -12,8 +12,11 @@ import cv2
 import numpy as np
 
 from kontur_av.clock import NS_PER_S
+from kontur_av.errors import ConfigError
 from kontur_av.media import I420
 from kontur_av.streams.lipsync import Lag
+from kontur_av.streams.loudspeaker import Loudspeaker
+from kontur_av.streams.voice_receiver import LoudspeakerCounts
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.media.marking import mark_stale
 from pipelines.media.media_metrics import SnapshotMetrics
@@ -106,17 +109,36 @@ class _Picture:
         loan.publish(frame.stamp)
 
 
+def _loudspeaker(context: Context, spec: str | None) -> Loudspeaker | None:
+    """Return what plays; why it cannot be had is told, and ends nothing."""
+    if spec is None:
+        return None
+    try:
+        speaker = Loudspeaker(spec, context.clock)
+    except ConfigError as error:
+        context.probe.publish(LoudspeakerCounts(play_fault=str(error)))
+        return None
+    context.on_flush(lambda: context.probe.publish(speaker.counts))
+    return speaker
+
+
 def run_display(
-    context: Context, *, streams: Sequence[VideoStream | VoiceStream], for_lip_sync: bool = True
+    context: Context,
+    *,
+    streams: Sequence[VideoStream | VoiceStream],
+    for_lip_sync: bool = True,
+    playback: str | None = None,
 ) -> None:
     """Show the newest picture and every block of sound of `streams`.
 
+    playback: the loudspeaker that has the sound heard, as of `Loudspeaker`.
     for_lip_sync: tell the voices' receivers how late the pictures are shown.
     """
     clock = context.clock
     showing = Showing(context.setup, streams, context.probe)
     watching, watched = Watching(context.probe), {stream.name for stream in streams} & OPERATORS
     context.on_flush(lambda: showing.publish(clock.now_ns()))
+    speaker = _loudspeaker(context, playback)
     with context.open_bus() as bus:
         readers = [
             bus.reader(
@@ -146,6 +168,8 @@ def run_display(
                     showing.handle_shown(stream.name, lease.stamp, now_ns)
                     name, stamp, watches = stream.name, lease.stamp, stream.name in watched
                     if picture is None:
+                        if speaker is not None:
+                            speaker.play(lease.audio().samples)
                         if watches:
                             watching.handle_sound(name, lease.audio().samples, stamp, now_ns)
                         lease.release()
@@ -157,3 +181,5 @@ def run_display(
             while (drawing := showing.next_event()) is not None:
                 pictures[drawing.stream].draw(drawing.stale_ns)
         del waiter
+    if speaker is not None:
+        speaker.close()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kontur_av.clock import Clock
-from kontur_av.codecs.h26x import encoder_of
+from kontur_av.codecs.h26x import encoder_of, settings_of
 from kontur_av.codecs.opus import OpusEncoder
 from kontur_av.media import Tips, VideoFrame
 from kontur_av.rtp.sender import RtpIdentity
@@ -16,6 +16,7 @@ from kontur_av.streams.encoding_thread import EncodingThread, switch_threads_oft
 from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.media.coded_topics import SentTopic
 from pipelines.media.following import FOLLOWED_TOPIC, SELECTED_TOPIC
+from pipelines.media.media_metrics import EncoderMetrics
 from pipelines.media.stream_metrics import Outgoing, publish_sender, voice_sender
 from pipelines.media.video_ends import ToEncode, VideoSendEnd
 from pipelines.session.datagrams import receive
@@ -133,6 +134,7 @@ def run_video_send(context: Context, *, stream: VideoStream, topic: str | None) 
             coded_size=stream.coded,
             regions=follows,
         )
+        context.probe.publish(EncoderMetrics(encoder=settings_of(stream.codec).encoder_in_use()))
         choices = TopicReader(bus, SELECTED_TOPIC, opened=follows)
         chosen = [choices.port] if choices.port else []
         confirmed = TopicWriter(bus, FOLLOWED_TOPIC, wake=True) if follows else None

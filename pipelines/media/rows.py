@@ -4,17 +4,16 @@ from collections.abc import Iterable
 
 from pipelines.media.following import (
     FOLLOWED_TOPIC,
-    HALVES_TOPIC,
     ROBOT_TIPS_TOPIC,
     SELECTED_TOPIC,
 )
 from pipelines.session.mission_messages import MISSION_LEDS_TOPIC, ROBOT_TOPIC
 from pipelines.session.setup.segments import Segment
-from pipelines.session.setup.table import STEREO, STEREO_INPUTS
 from pipelines.session.topic import AnyTopic
 from pipelines.session.topology.rows import (
     PICTURE_PRIORITY,
     VOICE_PRIORITY,
+    CameraRow,
     InputRow,
     Kind,
     MediaRow,
@@ -24,27 +23,14 @@ from pipelines.session.topology.rows import (
     given,
 )
 from pipelines.session.topology.table import Topology
-from pipelines.session.topology.topics import STEREO_TOPIC
 from pipelines.session.training import TRAINER_TOPIC
 
 
 def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
-    """One process an input, two a stream, one display a segment; stereo merge and snapshots."""
-    setup = session.setup
-    stereo = STEREO in setup.cameras
+    """One process an input, and a composed camera; two a stream, one display a segment."""
     return (
         *(_capture(session, row) for row in session.inputs),
-        ProcessRow(
-            name="stereo",
-            when=stereo,
-            segment=Segment.GROUND,
-            stage=Stage.RELAY,
-            run="pipelines.media.process_capture:run_stereo",
-            priority=PICTURE_PRIORITY,
-            reads=tuple(row.topic for row in session.inputs if row.name in STEREO_INPUTS),
-            writes=(STEREO_TOPIC, HALVES_TOPIC),
-            what="merges the robot's two cameras into one picture",
-        ),
+        *(_composing(session, row) for row in session.composed),
         *(_sender(session, row) for row in session.media_streams),
         *(_receiver(session, row) for row in session.media_streams),
         *(row for segment in Segment for row in _displays(session, segment)),
@@ -56,7 +42,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             run="pipelines.media.process_display:run_snapshots",
             reads=(
                 *(row.displayed_topic for row in session.video_streams),
-                *given(stereo, STEREO_TOPIC),
+                *(row.topic for row in session.composed),
             ),
             what="keeps what is shown as PNG files",
         ),
@@ -75,6 +61,20 @@ def _capture(session: Topology, row: InputRow) -> ProcessRow:
         reads=(ROBOT_TOPIC, row.page_topic, *given(video, TRAINER_TOPIC, MISSION_LEDS_TOPIC)),
         writes=(row.topic, *given(video, row.preview_topic, row.tip_topic)),
         what="captures pictures" if video else "captures sound",
+    )
+
+
+def _composing(session: Topology, row: CameraRow) -> ProcessRow:
+    return ProcessRow(
+        name=row.process,
+        segment=Segment.GROUND,
+        stage=Stage.RELAY,
+        run="pipelines.media.process_capture:run_composing",
+        arguments={"camera": row.name},
+        priority=PICTURE_PRIORITY,
+        reads=tuple(session.input(name).topic for name in row.inputs),
+        writes=(row.topic, row.oldest_topic),
+        what="puts the pictures of two cameras into one",
     )
 
 
@@ -133,7 +133,10 @@ def _displays(session: Topology, segment: Segment) -> Iterable[ProcessRow]:
             segment=segment,
             stage=Stage.SINK,
             run="pipelines.media.process_display:run_display",
-            arguments={"streams": tuple(row.stream for row in rows)},
+            arguments={
+                "streams": tuple(row.stream for row in rows),
+                "playback": getattr(session.setup.playback, segment.value),
+            },
             priority=VOICE_PRIORITY,
             reads=tuple(row.received_topic for row in rows),
             writes=(*(row.displayed_topic for row in videos), *(row.lag_topic for row in videos)),

@@ -2,9 +2,9 @@
 
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.metrics import Flat
-from kontur_av.report import Latency, Report
+from kontur_av.report import Latency, PayloadRates, Report
 from kontur_av.streams.video_receiver import VideoReceiverCounts
-from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts, VoiceReceiverCounts
 
 
 class ReceivedStages(Report, frozen=True, kw_only=True):
@@ -52,16 +52,10 @@ class RawReport(Report, frozen=True, kw_only=True):
 
 
 class PlayedReport(Report, frozen=True, kw_only=True):
-    """The blocks of sound that `--play` played or dropped, and how late the player has them heard.
-
-    faults: how often the player ended; `last_fault` is empty if it never did.
-    """
+    """What `--play` did, and how late the player has sound heard."""
 
     to: str
-    blocks: int
-    dropped: int
-    faults: int
-    last_fault: str
+    counts: Flat[LoudspeakerCounts]
     delay_ms: Latency | None
 
 
@@ -74,15 +68,12 @@ class OutputReport(Report, frozen=True, kw_only=True):
     voice: Flat[VoiceReceiverCounts] | None = None
 
 
-class ReceiveReport(Report, frozen=True, kw_only=True):
+class ReceiveReport(PayloadRates, frozen=True, kw_only=True):
     """The report of `receive`; `failed` says what went wrong."""
 
     stream: str
     seconds: float
     seconds_of_stream: float
-    payload_bps_mean: float
-    payload_bps_max_1s: float
-    payload_bps_max_100ms: float
     output: Flat[OutputReport]
     latency_ms: ReceivedLatency | None
     cpu_s: float

@@ -1,6 +1,8 @@
 """What `kontur-av send` and the commands that speak WebRTC send, as their options say."""
 
 import argparse
+from collections.abc import Mapping
+from typing import Any
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.errors import ConfigError
@@ -11,33 +13,30 @@ from kontur_av.sources.source import FILLED_BY_OTHERS
 
 def open_pictures(args: argparse.Namespace, clock: MonotonicClock) -> VideoSource:
     """The source of `--video`, of `--size` and `--fps`. ConfigError."""
-    check_alone(args.video)
-    scenes = None
-    if args.video.startswith("scene:"):
-        from telepresence.world import video_scenes
-
-        scenes = video_scenes()
     width, height = parse_size(args.size)
     return open_video(
         args.video,
-        name="video",
         width=width,
         height=height,
         fps=args.fps,
         clock=clock,
-        scenes=scenes,
+        scenes=scenes_of(args.video),
     )
 
 
 def open_sound(args: argparse.Namespace, clock: MonotonicClock) -> AudioSource:
     """The source of `--audio`. ConfigError."""
-    check_alone(args.audio)
-    scenes = None
-    if args.audio.startswith("scene:"):
-        from telepresence.world import audio_scenes
+    return open_audio(args.audio, clock=clock, scenes=scenes_of(args.audio, sound=True))
 
-        scenes = audio_scenes()
-    return open_audio(args.audio, name="audio", clock=clock, scenes=scenes)
+
+def scenes_of(spec: str, *, sound: bool = False) -> Mapping[str, Any] | None:
+    """The scenes of the world for a SPEC that names one. ConfigError as of `check_alone`."""
+    check_alone(spec)
+    if not spec.startswith("scene:"):
+        return None
+    from telepresence.world import audio_scenes, video_scenes
+
+    return audio_scenes() if sound else video_scenes()
 
 
 def check_alone(spec: str | None) -> None:

@@ -11,8 +11,9 @@ from kontur_av.streams.staleness import FROZEN_PERIODS, Staleness
 from pipelines.media.media_metrics import DisplayMetrics
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import ClickRow, LightRow, ShownRow
+from pipelines.session.setup.composition import STEREO
 from pipelines.session.setup.segments import Segment
-from pipelines.session.setup.table import STEREO, Setup, VideoStream, VoiceStream
+from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
 from pipelines.session.topology.rows import VideoRow
 from pipelines.session.topology.table import Topology
 
@@ -148,7 +149,7 @@ class Showing:
 def _staleness(setup: Setup, stream: VideoStream | VoiceStream) -> Staleness:
     stale_after_ns = setup.stale_after_ns(stream)
     if isinstance(stream, VideoStream):
-        frozen_after_ns = FROZEN_PERIODS * NS_PER_S // stream.coded_hz
+        frozen_after_ns = round(FROZEN_PERIODS * NS_PER_S / stream.coded_hz)
         return Staleness(stale_after_ns=stale_after_ns, frozen_after_ns=frozen_after_ns)
     return Staleness(stale_after_ns=stale_after_ns, span_ns=BLOCK_NS)
 
@@ -244,7 +245,7 @@ class Snapshot(NamedTuple):
 
 
 class SnapshotSchedule:
-    """Asks for a picture of each display and of the stereo merge, at growing intervals. A core.
+    """Asks for a picture of each display and composed camera, at growing intervals. A core.
 
     Call `handle_time` at `poll_timeout`, then drain `next_event`.
 
@@ -259,9 +260,10 @@ class SnapshotSchedule:
             for row in topology.media_streams
             if isinstance(row, VideoRow) and topology.runs(row.display)
         }
-        self._stereo = f"{Segment.GROUND.value}-{STEREO}"
-        if STEREO in topology.setup.cameras and Segment.GROUND in topology.segments:
-            self._topics[self._stereo] = topology.camera(STEREO).topic
+        ground = Segment.GROUND.value
+        self._stereo = f"{ground}-{STEREO}"
+        if Segment.GROUND in topology.segments:
+            self._topics |= {f"{ground}-{row.name}": row.topic for row in topology.composed}
         self._due_ns = _next_ns(now_ns - started_ns)
         self._snapshots: list[Snapshot] = []
 

@@ -224,7 +224,7 @@ def run_console(context: Context) -> None:
     to_gateway = context.own_sender(topology.entry_port(TELECOMMAND))
     with context.open_bus() as bus:
         walls = None
-        if context.setup.hand != "direct":
+        if context.setup.renders_walls:
             walls = TopicWriter(bus, WALL_TOPIC)
         service = TmtcServer(context, bus, Segment.SPACE, to_gateway)
         waiter = bus.waiter([], [udp.fileno(), service.requests.fileno()])

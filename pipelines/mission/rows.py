@@ -66,7 +66,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             stoppable=False,
             reads=(JOYSTICK_STATE_TOPIC, link_state_topic(Segment.SPACE)),
             writes=(
-                *given(setup.hand != "direct", WALL_TOPIC),
+                *given(setup.renders_walls, WALL_TOPIC),
                 JOYSTICK_COMMAND_TOPIC,
                 TMTC_TOPICS[Segment.SPACE],
                 *packet_topics(Segment.SPACE).values(),

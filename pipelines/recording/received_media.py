@@ -11,7 +11,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import AUDIO_CLOCK_HZ
 from kontur_av.meters import Histogram, RateMeter
 from kontur_av.modular import serial_difference
-from kontur_av.report import latency_ms
+from kontur_av.report import latency_ms, rates
 from kontur_av.rtp.annex_b import split_annex_b
 from kontur_av.rtp.arrivals import MOST_REORDER_NS
 from kontur_av.rtp.nal_formats import NAL_FORMATS
@@ -363,9 +363,7 @@ class ReceiveShell:
             stream=self._stream.kind,
             seconds=(self._clock.now_ns() - start_ns) / NS_PER_S,
             seconds_of_stream=((rate.last_ns or 0) - (rate.first_ns or 0)) / NS_PER_S,
-            payload_bps_mean=rate.mean_bps(),
-            payload_bps_max_1s=rate.max_bps(NS_PER_S),
-            payload_bps_max_100ms=rate.max_bps(100 * NS_PER_MS),
+            **rates(rate),
             output=output.report(),
             latency_ms=latency,
             cpu_s=0.0,

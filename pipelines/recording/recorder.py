@@ -8,6 +8,7 @@ pictures are awaited. What was before them belongs to the part before.
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from math import ceil
 from typing import Final
 
 from kontur_av.clock import NS_PER_S
@@ -122,7 +123,9 @@ class Recorder:
 
     def coder(self, source: Source) -> CameraCoder:
         whole = self._setup.recorded_cameras == "all"
-        coder = CameraCoder(self._setup.stream_of(source.name).fps) if whole else CameraCoder()
+        coder = (
+            CameraCoder(ceil(self._setup.stream_of(source.name).fps)) if whole else CameraCoder()
+        )
         return self._coders.setdefault(source.name, coder)
 
     def handle_camera(self, source: Source, unit: bytes, stamp: CaptureStamp, now_ns: int) -> None:

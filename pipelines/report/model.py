@@ -21,11 +21,12 @@ import msgspec
 
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.metrics import Flat, is_flat
+from kontur_av.report import Latency
 from kontur_av.rtp.receiver import ReceiverCounts
-from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.sent_stream import SentStream
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
-from kontur_av.streams.voice_receiver import VoiceReceiverCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts, VoiceReceiverCounts
 from pipelines.link.link_metrics import SocketMetrics, WayInMetrics
 from pipelines.media.media_metrics import CodingCosts, DisplayMetrics, GainMetrics
 from pipelines.mission.mission_metrics import ComponentMetrics
@@ -60,14 +61,15 @@ RECEIVED = "received"
 Received = Annotated[T, RECEIVED]
 
 
-class Spread(Report, frozen=True, kw_only=True):
+class Punctuality(Latency, frozen=True, kw_only=True):
+    """How late a periodic task was."""
+
+    p99_9: float = msgspec.field(name="p99.9")
+
+
+class Spread(Punctuality, frozen=True, kw_only=True):
     """Percentiles of a duration by nearest rank in a histogram."""
 
-    p50: float
-    p95: float
-    p99: float
-    p99_9: float = msgspec.field(name="p99.9")
-    max: float
     mean: float
     #: Number of values.
     count: int
@@ -92,30 +94,18 @@ class StreamLatency(Spread, frozen=True, kw_only=True):
     stages: Stages
 
 
-class StreamReport(Report, frozen=True, kw_only=True):
+class StreamReport(SentStream, frozen=True, kw_only=True):
     """One media stream, from its input to its display."""
 
     #: The only side that ran here, `sender` or `receiver`; the other's counts are 0 or empty.
     side: str | None = None
-    #: The largest rate of RTP payload over any second.
-    cap_bps: int
     #: What samples left out added to the cap, on average.
     gained_bps: int | None = None
     gain: Flat[GainMetrics] | None = None
-    #: Width and height as captured and displayed; of pictures only.
-    size: tuple[int, int] | None = None
-    #: Width and height as coded.
-    coded_size: tuple[int, int] | None = None
-    payload_bps_mean: int
-    #: The largest rate over a sliding second.
-    payload_bps_max_1s: int
-    #: The largest rate over a sliding tenth of a second.
-    payload_bps_max_100ms: int
     #: By how much a sliding second exceeded the cap that held then.
     above_cap_bps: int = 0
     #: The rate of the last second; while the session runs.
     rate_bps: int | None = None
-    sender: Flat[SenderCounts]
     #: Of pictures only.
     feedback: Flat[FeedbackCounts] | None = None
     #: The receiver of a picture, or that of a voice.
@@ -124,6 +114,8 @@ class StreamReport(Report, frozen=True, kw_only=True):
     #: Of pictures only.
     decoder: Received[Flat[DecoderCounts]] | None = None
     display: Received[Flat[DisplayMetrics]]
+    #: Of a voice that a loudspeaker plays.
+    playback: Received[Flat[LoudspeakerCounts]] | None = None
     displayed_hz: Received[float]
     stale_after_ms: Received[float]
     #: From capture to display; of one end alone without its stages.
@@ -141,16 +133,6 @@ class StreamReport(Report, frozen=True, kw_only=True):
     def rtp(self) -> ReceiverCounts:
         came = self.video or self.voice
         return ReceiverCounts() if came is None else came.rtp
-
-
-class Punctuality(Report, frozen=True, kw_only=True):
-    """How late a periodic task was."""
-
-    p50: float
-    p95: float
-    p99: float
-    max: float
-    p99_9: float = msgspec.field(name="p99.9")
 
 
 class HapticReport(Report, frozen=True, kw_only=True):

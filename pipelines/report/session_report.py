@@ -7,11 +7,12 @@ import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.codecs.decoder import DecoderCounts
+from kontur_av.report import rates
 from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.video_receiver import VideoReceiverCounts
 from kontur_av.streams.video_sender import FeedbackCounts
-from kontur_av.streams.voice_receiver import VoiceReceiverCounts
-from pipelines.media.media_metrics import GainMetrics
+from kontur_av.streams.voice_receiver import LoudspeakerCounts, VoiceReceiverCounts
+from pipelines.media.media_metrics import EncoderMetrics, GainMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics
 from pipelines.report import model, sections, silence
 from pipelines.report.collector import Collector
@@ -153,6 +154,7 @@ def stream_report(
     row = collector.topology.media(stream.name)
     sender, receiver = collector.process(row.sender), collector.process(row.receiver)
     gain, display = sender.find(GainMetrics), collector.shown(stream.name)
+    encoder, voice = sender.find(EncoderMetrics), isinstance(stream, VoiceStream)
     seconds, newest_ns = max(seconds, 1e-9), metrics.last_latency_ns
     if now_ns is not None:
         state, age_ns = silence.shown_now(stream, collector, now_ns)
@@ -164,9 +166,8 @@ def stream_report(
         gain=gain,
         size=(stream.width, stream.height) if isinstance(stream, VideoStream) else None,
         coded_size=stream.coded_size if isinstance(stream, VideoStream) else None,
-        payload_bps_mean=round(metrics.rate.octets * 8 / seconds),
-        payload_bps_max_1s=round(metrics.rate.max_bps(NS_PER_S)),
-        payload_bps_max_100ms=round(metrics.rate.max_bps(100 * NS_PER_MS)),
+        encoder=None if encoder is None else encoder.encoder,
+        **rates(metrics.rate, metrics.rate.octets * 8 / seconds),
         above_cap_bps=round(metrics.above_cap_bps[0]),
         rate_bps=None if now_ns is None else round(silence.last_bps(metrics.rate, now_ns)),
         sender=sender.total(SenderCounts),
@@ -175,6 +176,7 @@ def stream_report(
         voice=receiver.find(VoiceReceiverCounts),
         decoder=receiver.find(DecoderCounts),
         display=display,
+        playback=collector.process(row.display).find(LoudspeakerCounts) if voice else None,
         displayed_hz=round(display.frames_displayed / seconds, 2),
         stale_after_ms=_ms(collector.setup.stale_after_ns(stream)),
         latency_ms=stream_latency_ms(metrics),
@@ -258,10 +260,13 @@ def failures(
             continue
         still_ns = silence.stopped_ns(stream, collector)
         heard_ns = signals_ns[collector.topology.media(stream.name).direction.receiver.value]
-        long_enough = min(whole_ns, heard_ns) >= silence.MISSED_NS + delay_ns
-        if long_enough and collector.shown(stream.name).frames_displayed == 0:
-            if not silence.waits_for_page(stream, collector):
-                found.append(f"{stream.name}: nothing was displayed")
+        met_ns = silence.met_ns(collector.topology.media(stream.name).direction.receiver, collector)
+        never = collector.shown(stream.name).frames_displayed == 0
+        if never and min(whole_ns, met_ns) >= silence.MISSED_NS + delay_ns:
+            # What nobody gives is not missed, unless the session has shown no picture at all.
+            if not silence.waits_for_page(stream, collector) or silence.is_blind(collector):
+                why = silence.why_nothing(stream, collector)
+                found.append(f"{stream.name}: nothing was displayed: {why}")
         elif min(still_ns, heard_ns) >= silence.missed_ns(stream) + delay_ns:
             found.append(
                 f"{stream.name}: nothing was displayed in the last {still_ns / NS_PER_S:.1f} s, "

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from kontur_av.clock import NS_PER_S
 from kontur_av.meters import RateMeter
 from kontur_av.sources.source import FILLED_BY_OTHERS
+from kontur_av.streams.paced_sender import SenderCounts
 from kontur_av.streams.staleness import State
 from pipelines.media.media_metrics import CaptureMetrics, DisplayMetrics
 from pipelines.report.collector import Collector
 from pipelines.session.probe import FLUSH_NS
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.table import VOICE_PACKETS_PER_S, Setup, VideoStream, VoiceStream
+from telepresence.link.link_metrics import ReceiverMetrics
 
 #: A picture or a sound is missed if it does not come for this long and this many periods.
 MISSED_NS = 2 * NS_PER_S
@@ -86,8 +88,8 @@ def missed_ns(stream: VideoStream | VoiceStream) -> int:
     return _missed_ns(stream.fps if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S)
 
 
-def _missed_ns(fps: int) -> int:
-    return max(MISSED_NS, _MISSED_PERIODS * NS_PER_S // fps)
+def _missed_ns(fps: float) -> int:
+    return max(MISSED_NS, round(_MISSED_PERIODS * NS_PER_S / fps))
 
 
 def signal_ns(segment: str, collector: Collector) -> int:
@@ -101,8 +103,7 @@ def signal_ns(segment: str, collector: Collector) -> int:
     if link is None:
         return _FOR_EVER_NS
     supervision, heard = link.supervision, link.receive
-    lost = heard.frames_lost
-    if not supervision.signal or lost > _SPOILED * (heard.frames_received + lost):
+    if not supervision.signal or _spoiled(heard):
         return 0
     acquired_ns = supervision.begun_ns + supervision.contacts[-1].acquired_ns
     ran_ns, setup = metrics.told_ns - supervision.begun_ns, collector.topology.setup
@@ -111,10 +112,49 @@ def signal_ns(segment: str, collector: Collector) -> int:
     return metrics.told_ns - acquired_ns
 
 
+def met_ns(segment: Segment, collector: Collector) -> int:
+    """The longest time for which `segment` has heard the other end; else as of `signal_ns`."""
+    now_ns, link = signal_ns(segment.value, collector), collector.gateway(segment).newest_link
+    if link is None or _spoiled(link.receive):
+        return now_ns
+    ran_ns = collector.gateway(segment).told_ns - link.supervision.begun_ns
+    ended = [one for one in link.supervision.contacts if one.lost_ns is not None]
+    longest_ns = max(((one.lost_ns or 0) - one.acquired_ns for one in ended), default=0)
+    return max(now_ns, min(longest_ns, _usable_ns(ran_ns, collector.topology.setup)))
+
+
+def _spoiled(heard: ReceiverMetrics) -> bool:
+    return heard.frames_lost > _SPOILED * (heard.frames_received + heard.frames_lost)
+
+
+def is_blind(collector: Collector) -> bool:
+    """Whether no picture of any stream was shown."""
+    videos = (one.name for one in collector.setup.streams if isinstance(one, VideoStream))
+    return not any(collector.shown(name).frames_displayed for name in videos)
+
+
+def why_nothing(stream: VideoStream | VoiceStream, collector: Collector) -> str:
+    """Return how far a stream of which nothing was displayed has come, with the mend, in words."""
+    row = collector.topology.media(stream.name)
+    inputs = [collector.topology.input(name) for name in _chosen_inputs(stream, collector)]
+    gave = [collector.process(one.process).capture for one in inputs]
+    if all(one.captured_ns is None for one in gave):
+        waits = waits_for_page(stream, collector)
+        why = NO_PAGE if waits else next((one.source_fault for one in gave if one.source_fault), "")
+        names = " and ".join(one.name for one in inputs)
+        return f"{names} gave nothing{why and f' ({why})'}: look at its source, or take another one"
+    if not collector.process(row.sender).total(SenderCounts).frames_sent:
+        return f"nothing was sent: look at {row.sender}"
+    if not collector.received(stream.name).rtp_packets:
+        return "nothing that was sent arrived: look at the link"
+    return f"what arrived was not shown: look at {row.receiver} and {row.display}"
+
+
 def never_met(collector: Collector, seconds: float) -> list[str]:
     """Each gateway here that has not met the other one, and why, although it should have."""
-    found = []
-    for segment in collector.topology.segments:
+    found: list[str] = []
+    # Without an application's data no connection is approved.
+    for segment in () if collector.topology.options.bypass else collector.topology.segments:
         link = collector.gateway(segment).newest_link
         if link is None or seconds * NS_PER_S < _MEET_NS:
             continue

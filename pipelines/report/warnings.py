@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.streams.paced_sender import SenderCounts
+from kontur_av.streams.voice_receiver import LoudspeakerCounts
 from pipelines.media.media_metrics import CaptureMetrics
 from pipelines.report.collector import Collector
 from pipelines.report.model import Warning
@@ -79,6 +80,12 @@ def find_warnings(
                 if topology.alone is None
                 else None,
             )
+    for row in topology.processes_here:
+        played = collector.process(row.name).find(LoudspeakerCounts)
+        if played is not None and played.play_fault:
+            fix = "choose another loudspeaker in [playback] of the setup, or leave it out"
+            words = f"its loudspeaker does not play: {played.play_fault}"
+            found.append(Warning(what="playback", where=row.name, measured=words, fix=fix))
     found += hand_warnings(collector)
     return [*found, *find_path_warnings(collector, topology.segments)]
 
@@ -86,7 +93,7 @@ def find_warnings(
 def hand_warnings(collector: Collector) -> list[Warning]:
     """A warning for a direct hand at a long round trip, where a rendered wall is felt better."""
     setup, topology = collector.setup, collector.topology
-    if setup.hand != "direct" or setup.partner_arm in ("shared", "board"):
+    if setup.hand in ("auto", "mediated") or setup.partner_arm in ("shared", "board"):
         return []
     if topology.alone is None:
         ways = [collector.haptics[way].latency for way in ("down", "up")]
@@ -179,7 +186,7 @@ def restart_warning(process: str, restarts: int, last_error: str) -> Warning:
 
 
 def picture_warnings(
-    stream: str, *, fps: int, seconds: float, captured: int, refused: int, displayed: int | None
+    stream: str, *, fps: float, seconds: float, captured: int, refused: int, displayed: int | None
 ) -> list[Warning]:
     """Whether too few pictures were captured or shown over a free channel.
 

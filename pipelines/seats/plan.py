@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from math import ceil
 
 import numpy as np
 
@@ -272,7 +273,7 @@ def _inputs(topology: Topology, segment: Segment) -> Iterator[SeatInput]:
             name=row.name,
             topic=row.page_topic,
             size=(stream.width, stream.height) if isinstance(stream, VideoStream) else None,
-            fps=stream.fps if isinstance(stream, VideoStream) else 50,
+            fps=ceil(stream.fps) if isinstance(stream, VideoStream) else 50,
         )
 
 

@@ -49,7 +49,7 @@ COMMON_ROWS = {
         "scene:NAME",
         "--audio SPEC  the voice to send: FILE, pipe:PATH, alsa:DEVICE or scene:NAME",
         "--size WxH <=640x480>  default: 640x480",
-        "--fps N <int=30>  default: 30",
+        "--fps N <float=30>  like 29.97 (default: 30)",
         "--video-kbps K <float=1500.0>  of the picture, less when the partner can take less "
         "(default: 1500)",
         "--voice-kbps K <float=32.0>  of the voice (default: 32)",

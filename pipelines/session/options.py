@@ -107,9 +107,9 @@ class StreamOptions:
     )
     second_robot: str = _robot("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT)
     hand: HandMode | None = _robot(
-        "what the hand feels: the robot's delayed force (direct, the default), the wall that the "
-        "robot's side has estimated, rendered at the joystick (mediated), or that wall and all "
-        "other force directly (auto)"
+        "what the hand feels: the robot's delayed force (direct), the wall that the "
+        "robot's side has estimated, rendered at the joystick (mediated), that wall and all other "
+        "force directly (auto), or auto from a round trip of 60 ms on (adaptive, the default)"
     )
     deadband: Deadband | None = _robot(
         "leave out haptic samples that nobody would miss; the uplink video gets their room, as a "

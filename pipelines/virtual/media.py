@@ -5,15 +5,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import cast
 
-from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from kontur_av.media import BLOCK_NS, I420, CaptureStamp, VideoFrame
 from kontur_av.sources.instants import Pace
 from kontur_av.sources.source import FILLED_BY_OTHERS
 from kontur_av.sources.spec import is_address
-from kontur_av.sources.stereo import StereoPairer
+from kontur_av.sources.stereo import PicturePairer
 from pipelines.media.following import Choice
-from pipelines.media.media_metrics import StereoMetrics
+from pipelines.media.media_metrics import CompositionMetrics
 from pipelines.media.showing import OPERATORS, Showing
 from pipelines.media.taking_over import Capturing
 from pipelines.session.setup.sources import check_sources
@@ -21,13 +20,12 @@ from pipelines.session.setup.table import (
     GROUND_MIC,
     OPERATOR_CAMERA,
     OPERATOR_MIC,
-    STEREO,
-    STEREO_INPUTS,
     VOICE_PACKETS_PER_S,
     Setup,
     VideoStream,
     VoiceStream,
 )
+from pipelines.session.topology.rows import CameraRow
 from pipelines.virtual.streams import (
     Consumer,
     Display,
@@ -130,7 +128,7 @@ class Camera(_Input):
         self,
         scene: Scene,
         name: str,
-        fps: int,
+        fps: float,
         film: Worker | None,
         show: ShowPicture,
         ahead: Callable[[Shot], object] | None = None,
@@ -171,26 +169,29 @@ class Microphone(_Input):
         self._show(stamp, self._studio.submit(job), now_ns)
 
 
-class Stereo:
-    """Pairs the pictures of the two cameras. Drawing comes later, when a pair is encoded."""
+class ComposedCamera:
+    """Pairs the pictures of two inputs. Drawing comes later, when a pair is encoded."""
 
     def __init__(
         self,
         scene: Scene,
-        fps: int,
+        row: CameraRow,
         show: ShowPicture,
-        on_halves: Sequence[Callable[[int], None]] = (),
+        on_oldest: Sequence[Callable[[str, int], None]] = (),
     ) -> None:
-        self._pairer = StereoPairer(period_ns=NS_PER_S // fps)
-        self._on_halves = on_halves
+        self._row = row
+        period_ns = scene.setup.uplink_video.period_ns
+        self._pairer = PicturePairer(period_ns=period_ns, name=row.name)
+        self._on_oldest = on_oldest
         self._agenda, self._show = scene.agenda, show
-        merged = scene.topology.topic(scene.topology.camera(STEREO).topic)
-        self._probe = scene.telling.probe(merged.writer)
+        self._probe = scene.telling.probe(row.process)
         scene.telling.add(self.publish)
 
-    def handle_picture(
-        self, picture: Picture, stamp: CaptureStamp, now_ns: int, *, right: bool
-    ) -> None:
+    def handle_picture(self, name: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
+        """A picture of an input; others than its two are ignored."""
+        if name not in self._row.inputs:
+            return
+        right = name == self._row.inputs[1]
         handle = self._pairer.handle_right if right else self._pairer.handle_left
         # The pairer reads stamps only, so a Shot can stand in for a picture.
         handle(VideoFrame(cast(I420, picture), stamp), now_ns)
@@ -205,13 +206,13 @@ class Stereo:
 
     def _give(self, now_ns: int) -> None:
         while (pair := self._pairer.next_event()) is not None:
-            for call in self._on_halves:
-                call(pair.oldest_ns)
-            self._show(Paired(pair, now_ns), pair.stamp, now_ns)
+            for call in self._on_oldest:
+                call(self._row.name, pair.oldest_ns)
+            self._show(Paired(self._row.name, pair, now_ns), pair.stamp, now_ns)
 
     def publish(self) -> None:
         pairer = self._pairer
-        self._probe.publish(StereoMetrics(paired=pairer.paired, single=pairer.single))
+        self._probe.publish(CompositionMetrics(paired=pairer.paired, single=pairer.single))
 
 
 class Media:
@@ -227,8 +228,8 @@ class Media:
         self.backlogs: defaultdict[str, list[Callable[[Backlog, int], None]]] = defaultdict(list)
         self._scene = scene
         self._on_confirmed = on_confirmed
-        #: Called with the instant of capture of the older half of each merged picture.
-        self.on_halves: list[Callable[[int], None]] = []
+        #: Called with each composed camera's name, and its older part's instant of capture.
+        self.on_oldest: list[Callable[[str, int], None]] = []
         self.video_receivers: dict[str, VideoReceiveProcess] = {}
         #: By display.
         self._displays: dict[str, Display] = {}
@@ -261,19 +262,19 @@ class Media:
             if camera == sender.end.camera:
                 sender.handle_picture(picture, stamp, now_ns)
 
-        stereo = None
-        if STEREO in setup.cameras:
-            stereo = Stereo(self._scene, stream.fps, partial(select, STEREO), self.on_halves)
+        composed = [
+            ComposedCamera(self._scene, row, partial(select, row.name), self.on_oldest)
+            for row in self._scene.topology.composed
+        ]
 
         def show(camera: str, picture: Picture, stamp: CaptureStamp, now_ns: int) -> None:
-            if stereo is not None and camera in STEREO_INPUTS:
-                stereo.handle_picture(picture, stamp, now_ns, right=camera == STEREO_INPUTS[1])
+            for one in composed:
+                one.handle_picture(camera, picture, stamp, now_ns)
             select(camera, picture, stamp, now_ns)
 
         def ahead(shot: Shot) -> None:
             camera = sender.end.camera
-            shown = STEREO_INPUTS if camera == STEREO else (camera,)
-            if shot.camera in shown:
+            if camera is not None and shot.camera in setup.inputs_of(camera):
                 studio.submit(shot)
 
         for name in setup.camera_inputs:
@@ -295,9 +296,11 @@ class Media:
     def _studio(
         self, stream: VideoStream, cameras: Sequence[str], *, regions: bool = False
     ) -> Worker:
-        specs = {name: self._scene.setup.source(name) for name in cameras}
+        setup, start_ns = self._scene.setup, self._scene.start_ns
+        specs = {name: setup.source(name) for name in cameras}
+        composed = self._scene.topology.composed
         return self._scene.workers.start(
-            partial(VideoStudio, stream, specs, self._scene.start_ns, regions=regions)
+            partial(VideoStudio, stream, specs, start_ns, regions=regions, composed=composed)
         )
 
     def _film(self, name: str, studio: Worker) -> Worker | None:

@@ -122,7 +122,7 @@ class Simulation:
         if plan is not None:
             seed_of_hand = self._random("cosmonaut").getrandbits(32)
             self._cosmonaut = Cosmonaut(Skill(level=plan[0].skill), seed=seed_of_hand)
-        self._device, self._mediated = joystick, setup.hand != "direct"
+        self._device, self._mediated = joystick, setup.renders_walls
         self._given_robot = robot
         self._costs = costs or CodingCosts()
         self._agenda = agenda = Agenda()
@@ -218,7 +218,7 @@ class Simulation:
         self._telling.add(lambda: probe.publish(service.report()))
         tmtc, watch = self.tmtc, CameraWatch(self.setup, end.envelope)
         if self._media is not None:
-            self._media.on_halves.append(watch.handle_halves)
+            self._media.on_oldest.append(watch.handle_oldest)
 
         def serve(now_ns: int) -> None:
             while self._orders:
@@ -367,7 +367,7 @@ class Simulation:
     def _make_ends(self) -> tuple[HapticEnd, HapticEnd]:
         up = self.topology.haptic("up")
         deadband, mediated = self.setup.deadband != "off", self._mediated
-        residual = self.setup.hand == "auto"
+        residual = self.setup.hand != "mediated"
         #: The joystick in a hand; None for the one that taps targets.
         handle: Handle | None = None
         if self._device is not None:
@@ -389,6 +389,7 @@ class Simulation:
             deadband=deadband,
             mediated=mediated,
             residual=residual,
+            walls_from_ns=self.setup.walls_from_ns,
             robot=given or Robot(axes=self.setup.more_axes),
             plane=self.setup.axes,
         )
@@ -400,6 +401,7 @@ class Simulation:
             deadband=deadband,
             mediated=mediated,
             residual=residual,
+            adaptive=self.setup.hand == "adaptive",
             handle=handle,
         )
         return robot, joystick

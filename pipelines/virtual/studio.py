@@ -21,10 +21,11 @@ from kontur_av.detect import Click, ClickDetector, Light, LightDetector
 from kontur_av.media import I420, AccessUnit, CaptureStamp, VideoCodec, VideoFrame, empty_picture
 from kontur_av.rtp.playout import PlayoutBlock
 from kontur_av.sources import AudioSource, open_audio, open_video
-from kontur_av.sources.stereo import StereoPair
+from kontur_av.sources.stereo import PicturePair
 from kontur_av.streams.voice_receiver import VoicePlayer
-from pipelines.media.marking import StereoMerger
+from pipelines.media.marking import PictureComposer
 from pipelines.session.setup.table import VideoStream, VoiceStream
+from pipelines.session.topology.rows import CameraRow
 from telepresence.world import WorldState, audio_scenes, render
 
 #: The most pictures or blocks of a file that are kept until they are encoded.
@@ -47,12 +48,13 @@ class Shot(NamedTuple):
 
 
 class Paired(NamedTuple):
-    """A stereo pair that is merged only when it is encoded.
+    """A picture of a composed camera that is composed only when it is encoded.
 
     pair: the `data` of its pictures are `Shot`s. now_ns: when it was paired.
     """
 
-    pair: StereoPair
+    camera: str
+    pair: PicturePair
     now_ns: int
 
 
@@ -70,7 +72,7 @@ class VideoStudio:
     """Draws pictures or reads them from files, and encodes them.
 
     cameras: name -> SPEC of each input that the stream may show.
-    regions: pictures may have a region of interest.
+    regions: pictures may have a region of interest. composed: cameras that are composed of them.
 
     A job is one of:
     - a `Picture`, its `Coding`, and its `Region` or None; the result is the access
@@ -80,7 +82,13 @@ class VideoStudio:
     """
 
     def __init__(
-        self, stream: VideoStream, cameras: dict[str, str], start_ns: int, *, regions: bool = False
+        self,
+        stream: VideoStream,
+        cameras: dict[str, str],
+        start_ns: int,
+        *,
+        regions: bool = False,
+        composed: Sequence[CameraRow] = (),
     ) -> None:
         self._stream = stream
         self._encoder = encoder_of(stream.codec)(
@@ -91,7 +99,9 @@ class VideoStudio:
             coded_size=stream.coded,
             regions=regions,
         )
-        self._merger = StereoMerger()
+        self._composers = {
+            row.name: PictureComposer(row.composition) for row in composed if row.composition
+        }
         self._views: dict[str, str] = {}
         self._films: dict[str, _Film] = {}
         for name, spec in cameras.items():
@@ -124,7 +134,7 @@ class VideoStudio:
                 left=self._drawn(picture.pair.left, left),
                 right=self._drawn(picture.pair.right, right),
             )
-            self._merger.handle_pair(pair, merged, picture.now_ns)
+            self._composers[picture.camera].handle_pair(pair, merged, picture.now_ns)
         else:
             merged = self._picture(picture, left)
         stamp = CaptureStamp(0, self._encoder.encoded, self._stream.name)

@@ -32,6 +32,8 @@ _MAX_ADVANCE_NS = 50 * NS_PER_MS
 #: A robot that estimates walls and starts in a contact lets go for so long, or until it knows the
 #: wall: it has no credit to move the tip, and a tip that rests reveals no wall.
 _LETS_GO_NS = 300 * NS_PER_MS
+#: A longer round trip counts once it has lasted for so long.
+_LONGER_NS = 500 * NS_PER_MS
 #: Skips `Command.__new__`, which is one more Python call a thousand times a second.
 _tuple = tuple.__new__
 
@@ -123,6 +125,7 @@ class JoystickSide(_Side):
     model: parameters of the controller.
     mediated: the force is that of the newest wall of `handle_wall`, not the robot's delayed one.
     residual: with `mediated`, also what that wall does not explain of the robot's.
+    adaptive: with both, directly until the robot tells its first wall.
 
     force_x_n, force_y_n: the force displayed now (N).
     """
@@ -138,10 +141,11 @@ class JoystickSide(_Side):
         link: HapticLink[Command, Feedback] | None = None,
         mediated: bool = False,
         residual: bool = False,
+        adaptive: bool = False,
     ) -> None:
         self.handle: Handle = handle or HeldJoystick(hand=Hand(hand, script=script))
         self.controller: JoystickController = (
-            MediatedController(model, passive=passive, residual=residual)
+            MediatedController(model, passive=passive, residual=residual, adaptive=adaptive)
             if mediated
             else JoystickController(model, passive=passive)
         )
@@ -160,9 +164,10 @@ class JoystickSide(_Side):
         acted = self._advance(now_ns, advance_ns)
         handle, controller = self.handle, self.controller
         state = handle.state
+        back_x_m, back_y_m = controller.held_back_m
         command = (
-            handle.x_m,
-            handle.y_m,
+            handle.x_m + back_x_m,
+            handle.y_m + back_y_m,
             controller.port.granted_uj,
             handle.dead_man,
             state,
@@ -203,6 +208,7 @@ class RobotSide(_Side):
     model: parameters of the controller.
     mediated: the wall is estimated; send what `poll_wall` returns as telemetry.
     residual: with `mediated`, feedback has only the force that the told wall does not explain.
+    walls_from_ns: no wall is told before the measured round trip has been so long.
     ownership: who may drive, where a partner can; the caller asks it for each datagram.
     envelope: whether the robot may follow the hand; None: whenever a fresh command has the dead-man
     button pressed.
@@ -223,6 +229,7 @@ class RobotSide(_Side):
         link: HapticLink[Feedback, Command] | None = None,
         mediated: bool = False,
         residual: bool = False,
+        walls_from_ns: int = 0,
         ownership: ControlAuthority | None = None,
         envelope: SafetyEnvelope | None = None,
         plane: Sequence[str] = ("x", "y"),
@@ -237,6 +244,7 @@ class RobotSide(_Side):
         self._offset_m = (0.0, 0.0)
         self._now_ns = 0
         self.estimator = WallEstimator() if mediated else None
+        self._walls_from_ns, self._longer_ns = walls_from_ns, 0
         self._lets_go_ns = _LETS_GO_NS
         self._residual = Residual() if mediated and residual else None
         self.controller: RobotController = RobotController(
@@ -312,6 +320,14 @@ class RobotSide(_Side):
         """Return the message with the wall to send now, or None."""
         if self.estimator is None:
             return None
+        if self._walls_from_ns:
+            trip_ns = self.link.round_trip_ns
+            if trip_ns is None or trip_ns < self._walls_from_ns:
+                self._longer_ns = now_ns
+                return None
+            if now_ns - self._longer_ns < _LONGER_NS:
+                return None
+            self._walls_from_ns = 0
         return self.estimator.poll_transmit(now_ns, heard=self.link.hearing)
 
     def _cycle(self, command: Command | None, dt_ns: int) -> None:

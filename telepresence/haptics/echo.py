@@ -34,6 +34,11 @@ class EchoProbe:
         self._due_ns = 0
         self._trip_ns: int | None = None
 
+    @property
+    def trip_ns(self) -> int | None:
+        """The newest round trip (ns), measured in the samples' own places; None before."""
+        return self._trip_ns
+
     def handle_echo(self, echo: Echo, now_ns: int) -> None:
         """The joystick has returned a probe. An unknown number is ignored."""
         sent_ns = self._sent.get(echo.number)

@@ -81,8 +81,10 @@ class JoystickController(PortController):
     spared_j: kept for the damping, whose force turns later than the hand, when the robot lacks all.
     most_j: the robot's force may give out no more than this, whatever the credit; set it before a
     step.
+    held_back_m: the place that the robot is told, less that of the handle (m, m).
     """
 
+    held_back_m = (0.0, 0.0)
     spared_j = 0.0
     most_j = inf
 

@@ -219,6 +219,11 @@ class HapticLink(Generic[Out, In]):
         return echo.age_ns(now_ns) if isinstance(echo, EchoProbe) and echo.answered else None
 
     @property
+    def round_trip_ns(self) -> int | None:
+        """Of a robot: the newest round trip of an echo (ns); None before the first."""
+        return self._echo.trip_ns if isinstance(self._echo, EchoProbe) else None
+
+    @property
     def told_age_ms(self) -> int | None:
         """Of a joystick: how old its commands are at the robot, as the robot says; None before."""
         return self._echo.told_age_ms if isinstance(self._echo, EchoReturn) else None

@@ -49,13 +49,19 @@ class JointReading(NamedTuple):
     torque_n_m: float
 
 
+#: A robot that takes forces measures and acts at least this often (Hz). At 100 Hz it swings at a
+#: wall with up to 17 N in 4 of 10 cells; at 500 Hz it does not.
+LEAST_FORCE_HZ = 500
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotCapabilities:
     """What a robot is. The session keeps it within these limits. At twice its force or speed, and
     outside of its workspace, it is switched off.
 
-    takes: "force" (N at the tip), or "position" for a robot that only takes places: then the
-    session moves a virtual mass by the forces, and the robot follows its place.
+    takes: "force" (N at the tip; at `LEAST_FORCE_HZ` or faster), or "position" for a robot that
+    only takes places: then the session moves a virtual mass by the forces, and the robot follows
+    its place.
     force_limit_n: per axis. speed_m_s: of the tip.
     half_width_m, half_height_m: of the workspace, from its middle.
     more: the axes behind x and y; the driver then has the methods of `MoreAxes`.

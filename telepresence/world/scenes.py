@@ -90,7 +90,7 @@ def video_scenes(state_at: StateAt = scripted_state) -> dict[str, VideoSceneFact
     """
 
     def factory(view: str, phase: float) -> VideoSceneFactory:
-        def make(name: str, width: int, height: int, fps: int, clock: Clock) -> VideoSource:
+        def make(name: str, width: int, height: int, fps: float, clock: Clock) -> VideoSource:
             drawn = _view(view, width, height)
 
             def draw(into: I420, sequence: int, capture_ns: int) -> None:

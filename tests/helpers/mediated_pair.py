@@ -17,6 +17,7 @@ MS = 1_000_000
 class MediatedPair:
     """round_trip_ms: half of it each way.
     residual: the hand also feels what the wall does not explain (`hand = "auto"`).
+    adaptive: walls are told from a measured round trip of 60 ms on.
     envelope: of the robot.
 
     `rows`, one a millisecond: the handle's x (m), the motors' force along x (N), work of the motors
@@ -30,15 +31,17 @@ class MediatedPair:
         *,
         mediated: bool = True,
         residual: bool = False,
+        adaptive: bool = False,
         stiffness_n_m: float = 1500.0,
         script: tuple[Waypoint, ...] = TAP_TARGETS,
         envelope: SafetyEnvelope | None = None,
     ) -> None:
         self.handle = HeldJoystick(hand=Hand(grip, script=script))
         self._feel = {"mediated": mediated, "residual": residual}
-        self.space = JoystickSide(handle=self.handle, **self._feel)
+        self.space = JoystickSide(handle=self.handle, adaptive=adaptive, **self._feel)
         board = Board(WallModel(stiffness_n_m=stiffness_n_m))
-        self.ground = RobotSide(board=board, envelope=envelope, **self._feel)
+        told = {"walls_from_ns": 60 * MS} if adaptive else {}
+        self.ground = RobotSide(board=board, envelope=envelope, **told, **self._feel)
         self.half_ns = round_trip_ms * MS // 2
         self.now_ns = 0
         self._down, self._up, self._walls = deque(), deque(), deque()

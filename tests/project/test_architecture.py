@@ -39,7 +39,10 @@ SHELLS = {
     "kontur_av/sources": (
         "camera file live looped microphone network pipe recording scene source spec user v4l2"
     ),
-    "kontur_av/streams": "decoding encoding_thread ends feeds loudspeaker sending udp",
+    "kontur_av/streams": (
+        "async_closing decoding encoding_thread feeds loudspeaker senders sending stream_receiver "
+        "udp"
+    ),
     "kontur_av/topics": "bus file_node iceoryx_node notifier session_files",
     "pipelines": "cli",
     "pipelines/bench": "latency link session sync",

@@ -40,8 +40,8 @@ def test_blocks_are_played_whole_and_in_order(played):
                 # Never more than the buffer and a page of the pipe.
                 assert 0 <= delay_ns <= BUFFER_NS + 4096 * 10**9 // 96_000
             clock.sleep_until_ns(clock.now_ns() + 20_000_000)
-    assert given and (speaker.played, speaker.faults) == (len(given), 0)
-    assert speaker.played + speaker.dropped == len(blocks)
+    assert given and (speaker.played, speaker.play_faults) == (len(given), 0)
+    assert speaker.played + speaker.play_dropped == len(blocks)
     sound = np.concatenate(given)
     assert (heard(played)[: len(sound)] == sound).all()
 
@@ -49,8 +49,8 @@ def test_blocks_are_played_whole_and_in_order(played):
 def test_a_device_that_is_not_there_is_tried_again_and_never_waited_for(played):
     clock = MonotonicClock()
     with Loudspeaker("alsa:nosuch", clock) as speaker:
-        eventually(lambda: speaker.play(TONE) is None and speaker.faults > 1, "another try")
-    assert "No such" in speaker.last_fault
+        eventually(lambda: speaker.play(TONE) is None and speaker.play_faults > 1, "another try")
+    assert "No such" in speaker.play_fault
     for spec in ("alsa:", "jack:x", "", "tone"):
         with pytest.raises(ConfigError, match=r"loudspeaker .*: write default, alsa:DEVICE or"):
             Loudspeaker(spec, clock)
@@ -67,6 +67,6 @@ def test_receive_plays_a_stream_and_reports_the_delay_of_the_player(played, tmp_
             end.send(TONE)
     assert receiver.returncode == 0
     told = json.loads(report.read_text())["played"]
-    assert told["blocks"] > 20 and told["faults"] == 0
+    assert told["played"] > 20 and told["play_faults"] == 0
     assert told["delay_ms"]["max"] <= 83
     assert np.abs(heard(played)).max() > 5_000

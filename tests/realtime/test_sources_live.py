@@ -134,10 +134,11 @@ def test_pictures_piped_by_ffmpeg_are_shown(fifo):
     writer.wait()
 
 
-def test_a_camera_gives_its_newest_picture_and_ends_in_time():
+def test_a_camera_gives_its_newest_picture_and_ends_in_time(monkeypatch):
     # A build machine has no camera, so FFmpeg's test picture takes the same path.
+    monkeypatch.setattr(CameraVideo, "_demuxer", "lavfi")
     picture = "testsrc=size=128x48:rate=30,realtime"
-    camera = CameraVideo("head", 64, 48, 30, CLOCK, picture, demuxer="lavfi")
+    camera = CameraVideo("head", 64, 48, 30, CLOCK, picture)
     picture = empty_picture(*SIZE)
     stamps = [camera.read(picture, TIMEOUT_NS) for _ in range(5)]
     assert [s.sequence for s in stamps] == list(range(5))

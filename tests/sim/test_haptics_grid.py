@@ -30,11 +30,8 @@ def check(found: CellMetrics) -> None:
     "cell",
     [
         Cell(),
-        Cell(delay=20.0),
-        Cell(delay=100.0),
-        Cell(delay=500.0, wall=500.0),
-        Cell(jitter=50.0),
-        Cell(delay=50.0, loss=30.0, wall=1500.0),
+        Cell(delay=500.0, wall=500.0, damping=150.0, friction=0.4),
+        Cell(jitter=50.0, copies=30.0),
         Cell(delay=100.0, jitter=50.0, loss=30.0, burst=10.0, blackout=1.0),
         Cell(delay=1000.0, jitter=50.0, loss=30.0),
     ],
@@ -109,7 +106,6 @@ def test_forces_are_calm_and_the_tip_catches_up(seed, text) -> None:
     ("stiffness", "damping", "mass", "cell"),
     [
         (500.0, 35.0, 1.5, Cell(delay=50.0, wall=5000.0)),
-        (500.0, 13.4, 1.0, Cell(delay=100.0, wall=1500.0)),
         (800.0, 24.0, 2.0, Cell(delay=50.0, wall=5000.0)),
         (700.0, 35.0, 0.4, Cell(delay=20.0, wall=5000.0, loss=30.0, burst=10.0)),
     ],
@@ -121,8 +117,7 @@ def test_no_force_swings_on_at_any_hand(stiffness, damping, mass, cell, monkeypa
     check(ran(cell))
 
 
-@pytest.mark.parametrize("hand", ["arm-2kg", "push", "taps"])
-@pytest.mark.parametrize("delay", [20.0, 300.0])
+@pytest.mark.parametrize(("hand", "delay"), [("arm-2kg", 20.0), ("push", 300.0), ("taps", 300.0)])
 def test_no_force_drops_suddenly(hand, delay) -> None:
     found = ran(Cell(delay=delay, wall=1500.0, hand=hand))
     assert found.step_n_ms <= STEP_N
@@ -168,7 +163,7 @@ def test_a_restart_in_contact_keeps_the_plants_and_the_claims(mode, restart) -> 
     ("felt", "least", "seed", "text"),
     [
         # It was 45 and 75 N/m of 600 when the damping did not follow the credit.
-        *(("last", 60, 1, f"delay=300,wall=1500,hand={hand}") for hand in ("soft", "firm")),
+        ("last", 60, 1, "delay=300,wall=1500,hand=firm"),
         # The robot has no credit to move, and a tip that rests reveals no wall.
         (
             "restart",
@@ -176,7 +171,6 @@ def test_a_restart_in_contact_keeps_the_plants_and_the_claims(mode, restart) -> 
             1,
             "delay=8,wall=100,angle=-90,place=51,hand=reflex,restart=both,mode=auto",
         ),
-        ("restart", 95, 1, "delay=53,jitter=38,wall=59,place=21,hand=taps,restart=both,mode=auto"),
         (
             *("restart", 95, 1),
             "delay=104,wall=98,angle=-48,place=59,hand=loose,restart=both,mode=auto",

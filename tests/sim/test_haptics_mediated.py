@@ -57,8 +57,22 @@ def near_n_m(grip: HandModel) -> float:
     return felt_n_m(near.rows)[-1]
 
 
-@pytest.mark.parametrize("round_trip_ms", [300, 800])
+def test_an_adaptive_hand_is_direct_below_60_ms_and_has_its_walls_beyond():
+    free = {"residual": True, "adaptive": True}
+    # A hand that moves before it hears the robot is braked.
+    script = (Waypoint(0.04, 0.0, MS, 300 * MS), *PRESS[::-1])
+    near = MediatedPair(40, SOFT_GRIP, script=script, **free)
+    direct = MediatedPair(40, SOFT_GRIP, script=script, mediated=False)
+    far = MediatedPair(200, SOFT_GRIP, script=PRESS, **free)
+    for pair in (near, direct, far):
+        pair.run(8)
+    assert np.array_equal(near.rows, direct.rows)
+    assert near.ground.estimator.wall is not None and not near.ground.estimator.sent
+    assert felt_n_m(far.rows)[-1] == pytest.approx(near_n_m(SOFT_GRIP), rel=0.2)
+
+
 @pytest.mark.parametrize("grip", [SOFT_GRIP, FIRM_GRIP, HEAVY_ARM], ids=["soft", "firm", "arm"])
+@pytest.mark.parametrize("round_trip_ms", [800])
 def test_a_wall_is_felt_as_without_delay_and_does_not_swing(grip, round_trip_ms):
     far = MediatedPair(round_trip_ms, grip, script=PRESS)
     far.run(16)
@@ -77,7 +91,7 @@ def test_a_wall_is_felt_as_without_delay_and_does_not_swing(grip, round_trip_ms)
 PUSH_6_N = HandModel(stiffness_n_m=1000.0, damping_n_s_m=20.0, mass_kg=0.4, push_n=6.0)
 
 
-@pytest.mark.parametrize("round_trip_ms", [0, 60, 150, 400, 800])
+@pytest.mark.parametrize("round_trip_ms", [0, 150, 800])
 @pytest.mark.parametrize("grip", [SOFT_GRIP, FIRM_GRIP, PUSH_6_N], ids=["soft", "firm", "push"])
 @pytest.mark.parametrize("stiffness_n_m", [200.0, 1900.0])
 def test_the_first_press_feels_the_wall_at_any_delay_without_drag(

@@ -13,7 +13,7 @@ from pipelines.session.machine_checks import (
     check_shared_memory,
     take_descriptors,
 )
-from pipelines.session.setup.table import STEREO, Setup, VideoStream
+from pipelines.session.setup.table import Setup, VideoStream
 from telepresence.world import audio_scenes, video_scenes
 
 
@@ -58,8 +58,8 @@ def check_room(setup: Setup, inputs: Sequence[str], *, pages: bool = False) -> N
     gives its own for a camera.
     """
     cameras = [setup.stream_of(name) for name in inputs if setup.kind_of(name) == "video"]
-    # The stereo merge has the uplink's size. Received pictures count twice: they are also shown.
-    relays = [setup.uplink_video] * (STEREO in setup.cameras)
+    # Composed pictures have the uplink's size. Received ones count twice: they are also shown.
+    relays = [setup.uplink_video for one in setup.cameras if setup.composition(one) is not None]
     received = [stream for stream in setup.streams if isinstance(stream, VideoStream)]
     streams = [*cameras, *relays, *received * (4 if pages else 2)]
     pictures = sum(stream.width * stream.height * 3 // 2 for stream in streams)

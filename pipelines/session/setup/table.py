@@ -3,6 +3,7 @@
 A user's own setup is a TOML file with the same fields: `pipelines.session.setup.setup_file`.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -12,9 +13,10 @@ from typing import Literal, get_args, get_origin
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.codecs.coding import PREFERENCES, Preference, coded_rate_for, coded_size_for
 from kontur_av.codecs.opus import bitrate_under_cap
-from kontur_av.errors import ConfigError, one_of, refused
+from kontur_av.errors import ConfigError, number, one_of, refused
 from kontur_av.media import VIDEO_CODECS, VideoCodec, check_size
 from kontur_av.streams.budget import Pacer
+from pipelines.session.setup.composition import STEREO, STEREO_PAIR, Composition
 from pipelines.session.setup.former_names import INPUTS
 from pipelines.session.setup.segments import Direction
 from telepresence.haptics.axes import AxisName, AxisSettings, more_axes, sample_octets
@@ -29,10 +31,6 @@ from telepresence.link.radio.profile import RadioProfile, built_in_radio, delaye
 from telepresence.link.repair.symbols import has_codes
 from telepresence.world import DEFAULT_SCENES
 from telepresence.world.board import BoardView
-
-#: The camera that is merged from the inputs `left` and `right`.
-STEREO = "stereo"
-STEREO_INPUTS = ("left", "right")
 
 GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC = "ground_mic", "operator_camera", "operator_mic"
 
@@ -74,7 +72,7 @@ class VideoStream:
     cap_bps: int
     width: int = 640
     height: int = 480
-    fps: int = 30
+    fps: float = 30
     prefer: Preference = "quality"
     coded: tuple[int, int] | None = None
     codec: VideoCodec = "h264"
@@ -94,8 +92,8 @@ class VideoStream:
                 f"{self.name}: least cap of {self.least_bps / 1000:g} kbit/s; take 10 to the cap, "
                 f"{self.cap_bps / 1000:g}"
             )
-        if not 1 <= self.fps <= 120:
-            raise ConfigError(f"{self.name}: {self.fps} pictures a second; take 1 to 120")
+        fps = number(self.fps, f"{self.name}: fps", least=1, most=120)
+        object.__setattr__(self, "fps", fps)
         one_of(self.prefer, PREFERENCES, f"{self.name}: prefer")
         one_of(self.codec, VIDEO_CODECS, f"{self.name}: codec")
         _check_stale_after(self)
@@ -120,7 +118,12 @@ class VideoStream:
         return self.coded or coded_size_for(*size, self.coded_hz, self.cap_bps, self.codec)
 
     @property
-    def coded_hz(self) -> int:
+    def period_ns(self) -> int:
+        """The time from one picture of its cameras to the next."""
+        return round(NS_PER_S / self.fps)
+
+    @property
+    def coded_hz(self) -> float:
         """The pictures a second for which the encoder is made."""
         return coded_rate_for(self.fps, self.cap_bps, self.prefer)
 
@@ -132,7 +135,8 @@ class VideoStream:
     @property
     def packets_per_s(self) -> int:
         """The packets a second if pictures of equal size fill the cap."""
-        return self.coded_hz * ceil(self.cap_bps / (8 * self.coded_hz * self.payload_octets))
+        packets = ceil(self.cap_bps / (8 * self.coded_hz * self.payload_octets))
+        return ceil(self.coded_hz * packets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,8 +175,10 @@ BATCHES_MS = (1, 2, 4)
 
 #: What the operator's hand feels. `direct`: the robot's delayed force. `mediated`: a wall that the
 #: robot's side estimates and the joystick's side renders. `auto`: that wall, and directly what it
-#: does not explain.
-HandMode = Literal["direct", "mediated", "auto"]
+#: does not explain. `adaptive`: as `direct`, and as `auto` from a round trip of 60 ms on.
+HandMode = Literal["adaptive", "direct", "mediated", "auto"]
+#: From this measured round trip on, `adaptive` renders walls.
+WALLS_FROM_NS = 60 * NS_PER_MS
 
 #: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
 #: joystick in space, once an operator has handed it over. `second`: an arm of its own. `board`:
@@ -213,12 +219,21 @@ class RtcLeg:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Playback:
+    """By end: the loudspeaker that plays its voice; None: it is silent. See `loudspeaker`."""
+
+    ground: str | None = None
+    space: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Setup:
     """A telepresence session: its cameras, its streams and their caps, its link and its radio.
 
     cameras: the cameras that can be selected for the uplink video; the first is selected at the
         start. `stereo` is merged from the inputs `left` and `right`; any other is the input of the
-        same name.
+        same name, or one of `composed`.
+    composed: by their names, cameras that show two inputs in one picture (docs/cameras.md).
     sources: for each input its source, as on the command line (`--source NAME=SPEC`).
     radio: how the radio delays and loses frames: a profile, or a built-in one's name
         (docs/radio.md). `telepresence.link.radio.load_radio` reads one from a file.
@@ -240,6 +255,7 @@ class Setup:
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
+    playback: where the operator in space, and the ground, hear the voice (docs/setups.md).
     recorded_cameras: which cameras a recording has beside the streams (docs/recordings.md).
     region: what of the uplink video is coded finer where no person says (docs/video.md).
     region_points: for a camera other than a built-in scene, the four corners of the task board in
@@ -249,6 +265,10 @@ class Setup:
     name: str
     uplink_video: VideoStream
     cameras: tuple[str, ...]
+    composed: Mapping[str, Composition] = field(
+        default_factory=dict,
+        metadata={"like": 'a table of tables, like work = {compose = ["head", "wrist"]}'},
+    )
     uplink_voice: VoiceStream | None = None
     downlink_video: VideoStream | None = None
     downlink_voice: VoiceStream | None = None
@@ -263,7 +283,7 @@ class Setup:
     repair: Repair = "auto"
     path: PathForm = "slots"
     path_batch_ms: int = 1
-    hand: HandMode = "direct"
+    hand: HandMode = "adaptive"
     axes: tuple[str, ...] = field(
         default=("x", "y"), metadata={"like": 'a list of names, like ["x", "y", "z", "gripper"]'}
     )
@@ -274,6 +294,7 @@ class Setup:
     partner_arm: PartnerArm = "none"
     tasks: bool = False
     safety: SafetyLimits = field(default_factory=SafetyLimits)
+    playback: Playback = field(default_factory=Playback)
     recorded_cameras: RecordedCameras = "idle"
     region: RegionChoice = "off"
     region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(
@@ -289,6 +310,8 @@ class Setup:
         for camera in self.cameras:
             if self.cameras.count(camera) > 1:
                 raise ConfigError(f"setup {self.name}: camera {camera} is named twice")
+        self._check_composed()
+        for camera in (*self.cameras, *self.camera_inputs):
             _check_camera(camera)
             if camera in (GROUND_MIC, OPERATOR_CAMERA, OPERATOR_MIC, *INPUTS):
                 raise ConfigError(
@@ -298,6 +321,7 @@ class Setup:
             if get_origin(each.type) is Literal:
                 one_of(getattr(self, each.name), get_args(each.type), each.name)
         self._check_partner_arm()
+        self._check_playback()
         if self.rtc is not None and self.downlink_video and self.downlink_video.codec != "h264":
             raise ConfigError(
                 "downlink_video: it goes on to the browsers of a partner, which take H.264: "
@@ -348,6 +372,31 @@ class Setup:
         """The axes behind x and y."""
         return more_axes(self.axes, self.axis)
 
+    def _check_playback(self) -> None:
+        for end, voice in (("ground", "downlink_voice"), ("space", "uplink_voice")):
+            where: str | None = getattr(self.playback, end)
+            if where is None:
+                continue
+            if getattr(self, voice) is None:
+                raise ConfigError(f"playback.{end}: there is no {voice} to play: add [{voice}]")
+            if where != "default" and not re.fullmatch(r"(alsa|pulse):.+", where):
+                raise ConfigError(
+                    f"playback.{end} {where!r}: write default, alsa:DEVICE or pulse:SINK"
+                )
+
+    def _check_composed(self) -> None:
+        for name, made in self.composed.items():
+            if name == STEREO:
+                raise ConfigError(f"composed.{name}: it is built in: give yours another name")
+            if name not in self.cameras:
+                raise ConfigError(f"composed.{name}: cameras does not name it: add it there")
+            made.check(name, self.uplink_video.width, self.uplink_video.height)
+            for part in made.compose:
+                if self.composition(part) is not None:
+                    raise ConfigError(
+                        f"composed.{name}: {part} is composed itself: name cameras with sources"
+                    )
+
     def _make_room(self) -> None:
         """Give both directions an insert zone for a sample of all axes."""
         if not self.more_axes:
@@ -389,12 +438,14 @@ class Setup:
             )
         if self.partner_arm != "none" and {*self.axes}.isdisjoint(("x", "y")):
             raise ConfigError("partner_arm: a partner's joystick has x and y: name them in axes")
-        if self.partner_arm == "shared" and self.hand != "direct":
+        if self.partner_arm == "shared" and self.hand not in ("adaptive", "direct"):
             raise ConfigError(
                 "partner_arm shared: only the joystick in space renders walls, so take "
                 'hand = "direct", or partner_arm = "second"'
             )
-        if self.partner_arm == "board" and (self.hand, self.deadband) != ("direct", "off"):
+        if self.partner_arm == "board" and (
+            self.hand not in ("adaptive", "direct") or self.deadband != "off"
+        ):
             raise ConfigError(
                 "partner_arm board: a partner's robot tells no walls and leaves out no samples, "
                 'so take hand = "direct" and deadband = "off"'
@@ -417,9 +468,11 @@ class Setup:
 
         That of `stereo` is its left half's: the board's plane is at the same pixels in both.
         """
-        inputs = STEREO_INPUTS if camera == STEREO else (camera,)
+        if camera in self.composed:
+            return None
+        inputs = self.inputs_of(camera)
         kinds, _, scenes = zip(*(self.source(name).partition(":") for name in inputs), strict=True)
-        if set(kinds) != {"scene"} or (camera == STEREO and scenes != STEREO_INPUTS):
+        if set(kinds) != {"scene"} or (camera == STEREO and scenes != inputs):
             return None
         return scenes[0] if scenes[0] in _BOARD_SCENES else None
 
@@ -434,10 +487,16 @@ class Setup:
 
     @property
     def camera_inputs(self) -> tuple[str, ...]:
-        names: list[str] = []
-        for camera in self.cameras:
-            names += STEREO_INPUTS if camera == STEREO else (camera,)
-        return tuple(dict.fromkeys(names))
+        return tuple(dict.fromkeys(name for one in self.cameras for name in self.inputs_of(one)))
+
+    def composition(self, camera: str) -> Composition | None:
+        """How a camera is composed; None if it is an input."""
+        return STEREO_PAIR if camera == STEREO else self.composed.get(camera)
+
+    def inputs_of(self, camera: str) -> tuple[str, ...]:
+        """The inputs that a camera shows."""
+        made = self.composition(camera)
+        return (camera,) if made is None else made.compose
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -491,13 +550,24 @@ class Setup:
         if stream.stale_after_ms is not None:
             return round(stream.stale_after_ms * NS_PER_MS)
         rate = stream.coded_hz if isinstance(stream, VideoStream) else VOICE_PACKETS_PER_S
-        own_ns = _STALE_NS + _STALE_PERIODS * NS_PER_S // rate
+        own_ns = _STALE_NS + round(_STALE_PERIODS * NS_PER_S / rate)
         return self.radio_profile.longest_delay_ns + own_ns
 
     @property
     def round_trip_ns(self) -> int:
         """The radio's longest delay (ns), there and back."""
         return 2 * self.radio_profile.longest_delay_ns
+
+    @property
+    def renders_walls(self) -> bool:
+        """Whether the robot's side estimates walls, which the joystick's side renders."""
+        return self.hand != "direct" and self.partner_arm not in ("shared", "board")
+
+    @property
+    def walls_from_ns(self) -> int:
+        """The measured round trip (ns) from which on walls are told; 0: from the start."""
+        near = self.hand == "adaptive" and self.round_trip_ns < WALLS_FROM_NS
+        return WALLS_FROM_NS if near else 0
 
     @property
     def streams(self) -> tuple[VideoStream | VoiceStream, ...]:
@@ -521,7 +591,7 @@ class Setup:
     @property
     def _walls(self) -> tuple[arithmetic.StreamNeed, ...]:
         """What the messages with walls need of the uplink."""
-        if self.hand == "direct":
+        if not self.renders_walls or self.walls_from_ns:
             return ()
         payload_bps = 8 * WALL_OCTETS * _WALLS_PER_S
         return (

@@ -7,6 +7,7 @@ from enum import Enum, IntEnum
 from kontur_av.media import Tips
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.streams.lipsync import Lag
+from pipelines.session.setup.composition import STEREO, Composition
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import VideoStream, VoiceStream
 from pipelines.session.topic import AnyTopic, OpusPacket, Topic
@@ -216,11 +217,25 @@ class InputRow:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRow:
-    """A camera that can be selected for the uplink video: its topic, and the inputs in it."""
+    """A camera that can be selected for the uplink video: its topic, and the inputs in it.
+
+    composition: how two inputs are in it; None: it shows one.
+    """
 
     name: str
     topic: Topic[None]
     inputs: tuple[str, ...]
+    composition: Composition | None = None
+
+    @property
+    def process(self) -> str:
+        """What composes it."""
+        return STEREO if self.name == STEREO else f"camera_{self.name}"
+
+    @property
+    def oldest_topic(self) -> Topic[int]:
+        what = "when the older part of the composed picture was captured (ns)"
+        return Topic(f"oldest/{self.name}", int, what)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,6 @@ from pipelines.session.setup.table import (
     GROUND_MIC,
     OPERATOR_CAMERA,
     OPERATOR_MIC,
-    STEREO,
-    STEREO_INPUTS,
     RtcLeg,
     Setup,
     VideoStream,
@@ -25,7 +23,7 @@ from pipelines.session.topology.rows import (
     VideoRow,
     backlog_topic,
 )
-from pipelines.session.topology.topics import FILES, RTC_CAMERA, RTC_VOICE, STEREO_TOPIC
+from pipelines.session.topology.topics import FILES, RTC_CAMERA, RTC_VOICE, composed_topic
 from telepresence.link.flows import (
     Flow,
     Level,
@@ -85,11 +83,11 @@ def link_row(setup: Setup, direction: Direction) -> LinkRow:
     )
 
 
-def camera_row(name: str, inputs: Iterable[InputRow]) -> CameraRow:
-    if name == STEREO:
-        return CameraRow(name=name, topic=STEREO_TOPIC, inputs=STEREO_INPUTS)
-    (topic,) = (row.topic for row in inputs if row.name == name)
-    return CameraRow(name=name, topic=topic, inputs=(name,))
+def camera_row(setup: Setup, name: str, inputs: Iterable[InputRow]) -> CameraRow:
+    made = setup.composition(name)
+    topics = [row.topic for row in inputs if row.name == name]
+    topic = topics[0] if made is None else composed_topic(name)
+    return CameraRow(name=name, topic=topic, inputs=setup.inputs_of(name), composition=made)
 
 
 def input_rows(setup: Setup) -> Iterable[InputRow]:

@@ -93,7 +93,12 @@ class Topology:
 
     @cached_property
     def cameras(self) -> tuple[CameraRow, ...]:
-        return tuple(camera_row(name, self.inputs) for name in self.setup.cameras)
+        return tuple(camera_row(self.setup, name, self.inputs) for name in self.setup.cameras)
+
+    @property
+    def composed(self) -> tuple[CameraRow, ...]:
+        """The cameras that are composed of two inputs."""
+        return tuple(row for row in self.cameras if row.composition is not None)
 
     @property
     def launcher_port(self) -> int:

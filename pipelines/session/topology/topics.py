@@ -40,7 +40,10 @@ def component_process(name: str) -> str:
     return f"telemetry_{name}"
 
 
-STEREO_TOPIC = Topic[None]("camera/stereo", None, "two pictures side by side")
+def composed_topic(camera: str) -> Topic[None]:
+    return Topic(f"camera/{camera}", None, "two pictures in one")
+
+
 #: The newest message with the wall that the joystick renders, where the hand is mediated.
 WALL_TOPIC = Topic[bytes]("received/wall", bytes, "message with the wall that the robot touched")
 

@@ -20,14 +20,13 @@ import msgspec
 
 from kontur_av.errors import ConfigError, refused
 from pipelines.report.report_file import write_result
+from pipelines.session.setup.composition import STEREO, STEREO_PAIR
 from pipelines.session.setup.setup_file import setup_from_table, table_of_setup
 from pipelines.session.setup.table import (
     GROUND_MIC,
     NO_RADIO,
     OPERATOR_CAMERA,
     OPERATOR_MIC,
-    STEREO,
-    STEREO_INPUTS,
     Setup,
 )
 from pipelines.virtual.campaign.campaign_metrics import Crash, RunMetrics, crashed, run_metrics
@@ -180,8 +179,12 @@ def _inputs(table: Mapping[str, Any]) -> set[str]:
     # What is no list is refused when the setup is built.
     cameras = found if isinstance(found := table.get("cameras"), list | tuple) else ()
     names = {str(camera) for camera in cameras}
-    if STEREO in names:
-        names = names - {STEREO} | {*STEREO_INPUTS}
+    composed = found if isinstance(found := table.get("composed"), Mapping) else {}
+    made = {STEREO: {"compose": STEREO_PAIR.compose}, **composed}
+    for name in names & made.keys():
+        # As with cameras, another kind of value is refused when the setup is built.
+        parts = found.get("compose") if isinstance(found := made[name], Mapping) else None
+        names = names - {name} | {*map(str, parts if isinstance(parts, list | tuple) else ())}
     return names | {name for stream, name in others.items() if stream in table}
 
 

@@ -30,6 +30,8 @@ from telepresence.haptics.mediated.wall import STAMP_MODULUS_MS, Wall, WallMessa
 from telepresence.haptics.sample import Feedback
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
+#: Up to this speed a spring that relaxes falls slowly enough; a tremor is about as fast.
+_SLOW_M_S = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -50,6 +52,7 @@ class RendererModel:
     steepest_n_m: where the tank does not pay for the wall's spring, one of up to this stiffness has
     the same force and stores less. It feels as stiff to a hand that keeps still.
     acceleration_m_s2: greatest acceleration of the handle; it bounds the next cycle's distance.
+    velocity_s: time constant of the velocity that a fade uses.
     old_ns: a wall that nobody has repeated for so long fades out.
     """
 
@@ -65,6 +68,7 @@ class RendererModel:
     soften_s: float = 0.1
     steepest_n_m: float = 0.0
     acceleration_m_s2: float = 150.0
+    velocity_s: float = 0.002
     old_ns: int = 5 * NS_PER_S
 
 
@@ -97,6 +101,7 @@ class WallRenderer:
         #: The present force on the handle (N, N).
         self.force_n = (0.0, 0.0)
         self._last: tuple[float, float] | None = None
+        self._vx = self._vy = 0.0
 
     @property
     def spare_j(self) -> float:
@@ -143,6 +148,9 @@ class WallRenderer:
         dx, dy = x_m - last[0], y_m - last[1]
         self.given_j = held_x * dx + held_y * dy
         self.handle_flow(self.given_j)
+        share = 1.0 / (dt_s + self.model.velocity_s)
+        self._vx += (dx - self._vx * dt_s) * share
+        self._vy += (dy - self._vy * dt_s) * share
         # What the spring does by itself.
         nx, ny = self._inward
         force = self._spring_n_m * (nx * x_m + ny * y_m - self._from_m)
@@ -181,6 +189,15 @@ class WallRenderer:
             self.force_n = 0.0, 0.0
         return self.force_n
 
+    def too_deep_m(self, x_m: float, y_m: float, most_n: float) -> tuple[float, float]:
+        """Return the way (m, m) out of the newest wall to where a robot presses with `most_n`."""
+        goal = self._goal
+        if goal is None:
+            return 0.0, 0.0
+        way_m = max(0.0, goal.depth_m(x_m, y_m) - most_n / self._series(goal))
+        nx, ny = goal.inward
+        return -way_m * nx, -way_m * ny
+
     def _series(self, wall: Wall) -> float:
         robot = self.model.robot_n_m
         return wall.stiffness_n_m * robot / (wall.stiffness_n_m + robot)
@@ -217,10 +234,14 @@ class WallRenderer:
         self._spring_n_m = min(max(self._stiffness, need_n_m), steepest)
 
     def _bounded(self, force: float, in_m_s: float) -> float:
-        tank_j = max(0.0, self.tank_j)
-        force = min(force, self.limit_n, sqrt(2.0 * self._spring_n_m * tank_j))
+        """Return what of `force` the tank pays for while it fades by `most_rate_n_s` at most."""
+        model, tank_j = self.model, max(0.0, self.tank_j)
+        away_m_s = max(0.0, -(self._inward[0] * self._vx + self._inward[1] * self._vy))
+        # A hand that runs away outruns the fastest fade.
+        yielding = 1.0 / self._spring_n_m + max(0.0, away_m_s - _SLOW_M_S) / model.most_rate_n_s
+        force = min(force, self.limit_n, sqrt(2.0 * tank_j / yielding))
         # The next cycle is held, and the handle may accelerate.
-        out_m = (self.model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
+        out_m = (model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
         if force * out_m > tank_j:
             force = tank_j / out_m
         return force
@@ -246,6 +267,10 @@ _START_J = 0.003
 #: Damping at the start, until the robot is heard or a wall is felt, and its longest time. A hand
 #: that has lost its wall sinks in against it, and so pays for the wall that comes back.
 _BRAKE_N_S_M, _BRAKE_S = 120.0, 0.5
+#: The robot presses at most this many times as hard as the hand feels, and this much more.
+_PRESS_RATIO, _PRESS_N = 1.25, 2.0
+#: Time constants with which a place that is too deep is held back, and told again.
+_HOLD_BACK_S, _FOLLOW_S = 0.3, 0.05
 #: Filtered speed after the first cycle of a handle that moves already.
 _MOVES_M_S = 0.01
 
@@ -254,10 +279,9 @@ class MediatedController(JoystickController):
     """A `JoystickController` whose force is that of the newest wall. Call `handle_wall` for each.
 
     residual: the feedback is what the wall does not explain, and is displayed, too.
+    adaptive: a `JoystickController` until the first wall comes.
     renderer: what it renders with. garbage: messages that were not a wall.
     """
-
-    spared_j = 0.002 + _START_J
 
     def __init__(
         self,
@@ -265,18 +289,27 @@ class MediatedController(JoystickController):
         *,
         passive: bool = True,
         residual: bool = False,
+        adaptive: bool = False,
     ) -> None:
-        super().__init__(model or _MODEL, passive=passive)
+        super().__init__(model, passive=passive)
+        self._model, self._rendering = model or _MODEL, False
         self.residual = residual
         self.renderer = WallRenderer(_RENDERING)
         self.garbage = 0
         self._damping_n = (0.0, 0.0)
-        if passive:
-            self.port.kept_j = self.port.credit_j = _START_J
         self._heard, self._braking = False, True
         #: The robot may not know the wall that is rendered: one of the two has just started.
         self._unknown = True
         self._before: tuple[float, float] | None = None
+        if not adaptive:
+            self._render()
+
+    def _render(self) -> None:
+        """From now on walls are rendered."""
+        self._rendering, self.model, self.spared_j = True, self._model, 0.002 + _START_J
+        if self.passive:
+            self.port.kept_j += _START_J
+            self.port.credit_j += _START_J
 
     @property
     def robot_force_n(self) -> tuple[float, float]:
@@ -291,6 +324,8 @@ class MediatedController(JoystickController):
         except ProtocolError:
             self.garbage += 1
             return
+        if not self._rendering:
+            self._render()
         # What comes before the robot is heard may be of its earlier start.
         self._unknown = self._unknown and not self._heard
         self.renderer.handle_wall(message)
@@ -303,6 +338,8 @@ class MediatedController(JoystickController):
         self, feedback: Feedback | None, x_m: float, y_m: float, dt_ns: int
     ) -> tuple[float, float]:
         """As in `JoystickController`; the force of `feedback` counts with `residual` only."""
+        if not self._rendering:
+            return super().step(feedback, x_m, y_m, dt_ns)
         renderer, limit_n = self.renderer, self.limit_n
         before, self._before = self._before, (x_m, y_m)
         if before is not None:
@@ -324,9 +361,23 @@ class MediatedController(JoystickController):
         self.most_j = renderer.spare_j
         self._damping_n = bx, by = super().step(feedback, x_m, y_m, dt_ns)
         self.limit_n = limit_n
+        self._hold_back(x_m, y_m, hypot(wall_x + self._gx, wall_y + self._gy), dt_ns / NS_PER_S)
         return wall_x + bx, wall_y + by
 
+    def _hold_back(self, x_m: float, y_m: float, felt_n: float, dt_s: float) -> None:
+        """Tell the robot a place where it presses little harder than the hand feels.
+
+        A hand that feels too little pushes on, and the robot's spring would press with all of it.
+        """
+        back_x, back_y = self.held_back_m
+        to_x, to_y = self.renderer.too_deep_m(x_m, y_m, _PRESS_N + _PRESS_RATIO * felt_n)
+        more = to_x * to_x + to_y * to_y > back_x * back_x + back_y * back_y
+        share = dt_s / (dt_s + (_HOLD_BACK_S if more else _FOLLOW_S))
+        self.held_back_m = back_x + (to_x - back_x) * share, back_y + (to_y - back_y) * share
+
     def _follow_credit(self, feedback: Feedback | None, dt_s: float) -> None:
+        if self._braking:
+            self.damping_n_s_m = self.model.damping_n_s_m
         super()._follow_credit(feedback, dt_s)
         self._heard = self._heard or feedback is not None
         if not self._braking:
@@ -336,8 +387,8 @@ class MediatedController(JoystickController):
         moves = self._silent_s <= dt_s and hypot(self._vx, self._vy) > _MOVES_M_S
         turns = self._bx * self._vx + self._by * self._vy > 0.0
         self._braking = not (known or moves or turns or self._silent_s > _BRAKE_S)
-        model = self.model
-        self.damping_n_s_m = _BRAKE_N_S_M if self._braking else model.damping_n_s_m
+        if self._braking:
+            self.damping_n_s_m = _BRAKE_N_S_M
 
     def _book(self, energy_j: float) -> None:
         """Count wall and damping together: what the wall gives back, the damper takes."""

@@ -311,14 +311,25 @@ def _unit(angle_rad: float) -> complex:
 
 #: A wall takes over within this time, about as fast as the renderer lets its force grow.
 _TAKES_OVER_NS = 300 * NS_PER_MS
+#: Time constants of the tip's velocity and of what its force has of late had to do with it.
+_VELOCITY_S, _LATELY_S = 0.005, 0.3
+#: A slower tip (m/s) tells nothing of a damping.
+_SLOW_M_S = 0.0002
 
 
 class Residual:
-    """Call `rest_n` once a cycle with the newest wall that was told, or None."""
+    """Call `rest_n` once a cycle with the newest wall that was told, or None.
+
+    What goes with the tip's velocity, such as friction and the wall's damping, is no part of the
+    rest. It brings the tip to rest, but shown a round trip late it would keep a hand swinging.
+    """
 
     def __init__(self) -> None:
         self._share = 0.0
-        self._last_ns: int | None = None
+        self._last: tuple[int, complex] | None = None
+        self._velocity = 0j
+        #: Means of force times velocity, and of velocity squared: across the wall, along it.
+        self._brakes, self._moves = [0.0, 0.0], [0.0, 0.0]
 
     def rest_n(
         self,
@@ -330,11 +341,26 @@ class Residual:
         now_ns: int,
     ) -> tuple[float, float]:
         """Return the part of the force (fx_n, fy_n) on the tip that `wall` does not explain."""
-        last_ns, self._last_ns = self._last_ns, now_ns
+        last, self._last = self._last, (now_ns, complex(x_m, y_m))
+        passed_s = max(0, now_ns - last[0]) / NS_PER_S if last is not None else 0.0
+        if last is not None and passed_s > 0.0:
+            moved = self._last[1] - last[1]
+            self._velocity += (moved - self._velocity * passed_s) / (passed_s + _VELOCITY_S)
         if wall is None:
             self._share = 0.0
+            self._brakes, self._moves = [0.0, 0.0], [0.0, 0.0]
             return fx_n, fy_n
-        if last_ns is not None and self._share < 1.0:
-            self._share = min(1.0, self._share + (now_ns - last_ns) / _TAKES_OVER_NS)
-        wall_x, wall_y = wall.force_n(x_m, y_m)
-        return fx_n - self._share * wall_x, fy_n - self._share * wall_y
+        self._share = min(1.0, self._share + passed_s * NS_PER_S / _TAKES_OVER_NS)
+        inward = complex(*wall.inward)
+        rest = complex(fx_n, fy_n) - self._share * complex(*wall.force_n(x_m, y_m))
+        back = inward.conjugate()
+        velocity, load = self._velocity * back, rest * back
+        lately = passed_s / (passed_s + _LATELY_S)
+        braking = []
+        for axis, (v, f) in enumerate(((velocity.real, load.real), (velocity.imag, load.imag))):
+            self._brakes[axis] += (-f * v - self._brakes[axis]) * lately
+            self._moves[axis] += (v * v - self._moves[axis]) * lately
+            gain = max(0.0, self._brakes[axis]) / (self._moves[axis] + _SLOW_M_S * _SLOW_M_S)
+            braking.append(gain * v)
+        rest += self._share * complex(*braking) * inward
+        return rest.real, rest.imag

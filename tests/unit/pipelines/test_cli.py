@@ -204,14 +204,12 @@ REFUSALS = {
     "send": {
         "TONE --audio missing.wav": "missing.wav",
         "TONE --audio page": "only a session has the source page",
-        "TONE --to 127.0.0.1": "HOST:PORT",
         "TONE --to 127.0.0.1:99999": "65534",
         "TONE --cap-kbps -3": "above 0",
         "TONE --cap-kbps 6": "a cap of 6 kbit/s: ",
         "TONE --channel-kbps 60": "lower the cap",
         "TONE --seconds 0": "above 0",
-        "TONE --sdp /nowhere/x.sdp": "--sdp",
-        "FILM --size 640": "WIDTHxHEIGHT",
+        "TONE --sdp /nowhere/x.sdp": "name a file in an open folder",
         "FILM --size 641x480": "even",
     },
     "receive": {

@@ -44,7 +44,7 @@ def test_a_new_cap_costs_a_key_picture_only_without_the_library(monkeypatch, its
 def test_a_library_of_another_build_is_not_taken(monkeypatch):
     monkeypatch.setattr(x264, "carried_by_pyav", lambda name: None)
     monkeypatch.setattr(x264, "find_library", lambda name: "libx264.so.999")
-    assert x264.found.__wrapped__() is None
+    assert x264.looked_for.__wrapped__() == (None, "libx264 999 is of an unknown build")
 
 
 @needed

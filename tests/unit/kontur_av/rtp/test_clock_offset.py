@@ -5,7 +5,7 @@ from rtp_packets import make_sender, picture
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.rtp.clock_offset import ClockOffset, answer_packet, read_receiver_time
-from kontur_av.rtp.rtcp import parse_rtcp, receiver_report
+from kontur_av.rtp.rtcp import receiver_report
 
 
 def test_the_packets_have_the_octets_of_the_rfc():
@@ -15,10 +15,9 @@ def test_the_packets_have_the_octets_of_the_rfc():
     assert read_receiver_time(asked, 7) == (0xA1A2A3A4, 0x7E808000, 7)
     answer = answer_packet(9, (0xA1A2A3A4, 0x7E808000, 7), 7 + NS_PER_S // 4)
     assert answer == bytes.fromhex("80cf0005 00000009 05000003 a1a2a3a4 7e808000 00004000")
-    # Behind a report they are found, and disturb nobody who does not know them.
+    # Behind a report they are found.
     compound = receiver_report(9, None, b"name")
     assert read_receiver_time(compound + asked, 7) == (0xA1A2A3A4, 0x7E808000, 7)
-    assert len(parse_rtcp(compound + asked)) == len(parse_rtcp(compound))
     for end in range(len(compound + asked)):
         assert read_receiver_time((compound + asked)[:end], 7) is None
 

@@ -53,7 +53,7 @@ def test_a_compound_packet_is_read_as_far_as_it_is_well_formed():
 def test_padding_extensions_of_profiles_and_unknown_types_are_passed_over():
     extended = bytes.fromhex(f"81c90008 00000001 {BLOCK_HEX} 41424344")
     padded = bytes.fromhex("a1cb0002 00000002 00000004")
-    unknown = bytes.fromhex("80cf0001 00000001")
+    unknown = bytes.fromhex("80d00001 00000001")
     assert parse_rtcp(unknown) == []
     assert parse_rtcp(extended + unknown + padded) == [
         rtcp.RtcpRrPacket(1, [BLOCK]),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from kontur_av.errors import ConfigError
 from kontur_av.media import CaptureStamp, VideoFrame, empty_picture, planes
-from kontur_av.sources.stereo import SeamFinder, StereoPairer, merge
+from kontur_av.sources.stereo import PicturePairer, SeamFinder, merge
 
 PERIOD_NS = 33_333_333
 PICTURE = np.zeros((24, 16), np.uint8)
@@ -46,7 +46,7 @@ def test_each_pixel_comes_from_its_side_and_a_missing_camera_is_black(seam):
 
 
 def test_pairs_by_capture_time_and_stamps_with_the_older():
-    pairer = StereoPairer(period_ns=PERIOD_NS)
+    pairer = PicturePairer(period_ns=PERIOD_NS)
     for k in range(10):
         now_ns = k * PERIOD_NS
         pairer.handle_right(frame(now_ns + 3_000_000, "right"), now_ns + 4_000_000)
@@ -60,7 +60,7 @@ def test_pairs_by_capture_time_and_stamps_with_the_older():
 
 
 def test_continues_with_the_last_picture_of_a_dead_camera():
-    pairer = StereoPairer(period_ns=PERIOD_NS, stale_after_ns=100_000_000)
+    pairer = PicturePairer(period_ns=PERIOD_NS, stale_after_ns=100_000_000)
     pairer.handle_left(frame(0), 0)
     pairer.handle_right(frame(0, "right"), 0)
     assert pairer.next_event() is not None
@@ -85,7 +85,7 @@ def test_continues_with_the_last_picture_of_a_dead_camera():
     assert not pair.left_stale
     assert pair.left.stamp.capture_ns == 8 * PERIOD_NS
     # One camera alone is shown after a while.
-    pairer, shown = StereoPairer(period_ns=PERIOD_NS, stale_after_ns=100_000_000), []
+    pairer, shown = PicturePairer(period_ns=PERIOD_NS, stale_after_ns=100_000_000), []
     for k in range(6):
         pairer.handle_left(frame(k * PERIOD_NS), k * PERIOD_NS)
         if (due_ns := pairer.poll_timeout()) is not None:
@@ -97,7 +97,7 @@ def test_continues_with_the_last_picture_of_a_dead_camera():
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 60_000_000)), max_size=60))
 def test_capture_times_only_rise_and_every_drop_is_counted(arrivals):
-    pairer = StereoPairer(period_ns=PERIOD_NS)
+    pairer = PicturePairer(period_ns=PERIOD_NS)
     now_ns, pairs, handed = 0, [], 0
     for is_left, gap_ns in arrivals:
         now_ns += gap_ns

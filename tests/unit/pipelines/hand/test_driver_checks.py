@@ -173,11 +173,16 @@ def each_cycle(device, do):
     told(device, "advance", lambda dt_ns: (do(), dt_ns)[1:])
 
 
-def stale(cycles, moves):
-    """A change of readings: once, while it moves, nothing new is measured for so many cycles."""
+def stale(cycles, moves, every=10**6):
+    """A change of readings: once, while it moves, nothing new is measured for so many cycles.
+
+    every: it is so again and again.
+    """
     kept = []
 
     def change(number, reading):
+        if number % every == 0:
+            kept.clear()
         if len(kept) < cycles and moves(reading):
             kept.append(kept[0] if kept else reading)
             return kept[0]
@@ -326,6 +331,10 @@ SIMPLE_FAULTS = [
     # While it moves, it once measures nothing new for a while.
     (Lever, "readings", lambda d: read(d, stale(25, lambda one: one.vx_m_s > 0.01))),
     (Mass, "readings", lambda d: read(d, stale(22, lambda one: one.vx_m_s > 0.005))),
+    # It measures anew at 250 Hz.
+    (Mass, "readings", lambda d: read(d, stale(10**6, lambda _: True, every=4))),
+    # Its encoder trembles by 0.1 mm.
+    (Lever, "rest", lambda d: read(d, lambda k, one: one._replace(x_m=one.x_m + k % 2 * 1e-4))),
     # Its plug is loose; its encoder jumps.
     (Lever, "readings", lambda d: read(d, unplug)),
     (Lever, "readings", lambda d: read(d, jump)),

@@ -26,6 +26,3 @@ def test_refresh_and_search_reach_the_encoder_or_are_refused(monkeypatch, capsys
         assert main([*WORDS, *words]) == 2
         assert "enough" in capsys.readouterr().err
         assert told.items() <= given.items()
-    for seconds in ("0.05", "601"):
-        assert main([*WORDS, "--refresh-s", seconds]) == 2
-        assert "refresh_s" in capsys.readouterr().err

@@ -109,12 +109,13 @@ def test_values_that_the_report_lacks_and_latencies_below_0_are_failures():
     ]
 
 
-def hearing(collector, since_ns, *, signal=True):
+def hearing(collector, since_ns, *, signal=True, lost_ns=None):
     """The same collector; its gateway in space has heard the ground from `since_ns` to 9 s."""
     contacts = [
         ContactMetrics(acquired_ns=0, connected_ns=None, lost_ns=5),
-        ContactMetrics(acquired_ns=since_ns - 1000, connected_ns=None, lost_ns=None),
+        ContactMetrics(acquired_ns=since_ns - 1000, connected_ns=None, lost_ns=lost_ns),
     ]
+    signal = signal and lost_ns is None
     supervision = SimpleNamespace(signal=signal, begun_ns=1000, contacts=contacts)
     gauges = gateway(supervision=supervision, receive=ReceiverMetrics())
     collector.handle_message("space_gateway", message(gauges), 9 * NS_PER_S)
@@ -123,11 +124,14 @@ def hearing(collector, since_ns, *, signal=True):
 
 def test_a_stream_without_a_radio_signal_is_no_failure():
     unseen = told(displayed=0, received=0)
-    in_space = ["uplink_video: nothing was displayed", "haptic_up: no sample was received"]
+    never = "uplink_video: nothing was displayed: left and right gave nothing: look at its source"
+    in_space = [f"{never}, or take another one", "haptic_up: no sample was received"]
     down = ["haptic_down: no sample was received"]
     assert failures(hearing(unseen, 2 * NS_PER_S), 9.0) == in_space + down
     assert failures(hearing(unseen, 8 * NS_PER_S), 9.0) == down
     assert failures(hearing(unseen, 2 * NS_PER_S, signal=False), 9.0) == down
+    # A signal that has ended was long enough to show a picture.
+    assert failures(hearing(unseen, 2 * NS_PER_S, lost_ns=7 * NS_PER_S), 9.0) == in_space[:1] + down
 
 
 def test_a_session_that_ended_at_once_has_a_report_and_an_input_is_silent_since_its_new_start():
@@ -235,7 +239,7 @@ def test_a_stream_is_judged_by_the_camera_that_is_selected():
     assert "in the last 3.0 s" in found
 
 
-def test_an_input_that_no_page_has_given_anything_is_no_failure():
+def test_what_no_page_gives_is_a_failure_only_if_no_picture_at_all_is_shown():
     def without_pictures(setup):
         collector = told(displayed=0, setup=setup)
         for name in setup.camera_inputs:
@@ -246,14 +250,25 @@ def test_an_input_that_no_page_has_given_anything_is_no_failure():
 
     cameras = dict.fromkeys(SETUP.camera_inputs, "page")
     collector = without_pictures(replace(SETUP, sources=cameras))
-    assert failures(collector, 10.0) == []
+    never = "uplink_video: nothing was displayed: left and right gave nothing"
+    (found,) = failures(collector, 10.0)
+    assert found.startswith(f"{never} (no page gives it): look at its source")
     assert str(silences(collector)[0]) == "camera_left: no picture for 10 s (no page gives it)"
     assert all(silence.waits for silence in silences(collector))
-    assert failures(without_pictures(SETUP), 10.0) == ["uplink_video: nothing was displayed"]
+    (found,) = failures(without_pictures(SETUP), 10.0)
+    assert found.startswith(f"{never}: look at its source")
     # From what a page gave, something must be shown.
     given = message(CaptureMetrics(captured_ns=9 * NS_PER_S))
     collector.handle_message("camera_left", given, 10 * NS_PER_S)
-    assert failures(collector, 10.0) == ["uplink_video: nothing was displayed"]
+    (found,) = failures(collector, 10.0)
+    assert found.endswith(
+        "what arrived was not shown: look at uplink_video_receive and space_display"
+    )
+    both = BUILT_IN["spacejustin"]
+    shown = without_pictures(replace(both, sources=dict.fromkeys(both.camera_inputs, "page")))
+    told_down = message(DisplayMetrics(frames_displayed=9), stream="downlink_video")
+    shown.handle_message("ground_display", told_down, 10 * NS_PER_S)
+    assert not any(line.startswith("uplink_video") for line in failures(shown, 10.0))
 
 
 def test_an_input_that_stopped_or_never_began_is_named():

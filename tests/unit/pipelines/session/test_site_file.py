@@ -98,7 +98,7 @@ def test_the_nearer_file_wins_and_the_command_line_over_all_with_paths_from_each
         ("no_page = true", "a.toml: unknown field no_page: write page = false"),
         ("cameras = []", r"a.toml: cameras is of a setup: write it in \[setup\]"),
         ('seconds = "20"', "a.toml: seconds must be a number, not '20'"),
-        ('hand = "soft"', "a.toml: hand must be one of direct, mediated, auto, not 'soft'"),
+        ('hand = "soft"', "a.toml: hand must be one of adaptive, direct, mediated, auto, not"),
         ("record = 5", "a.toml: record must be a path in quotes, not 5"),
         ("telemetry = 5", "a.toml: telemetry must be a list of texts in quotes, not 5"),
         ("files_rate = 8", r"a.toml: files_rate must be two numbers, like \[8, 200\], not 8"),

@@ -6,13 +6,15 @@ from dataclasses import asdict, fields
 import pytest
 
 from kontur_av.errors import ConfigError
+from pipelines.session.setup.composition import Composition
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.setup.table import RtcLeg, Setup
+from pipelines.session.setup.table import Playback, RtcLeg, Setup
 from telepresence.haptics.envelope import SafetyLimits
 
 EVERY_FIELD = """
 name = "wrist"
-cameras = ["wrist", "stereo"]
+cameras = ["wrist", "stereo", "both"]
+composed = {both = {compose = ["wrist", "left"], layout = "inset", share = 0.25}}
 radio = "cable"
 radio_delay_ms = 12.5
 deadband = "latency"
@@ -51,6 +53,9 @@ codec = "h264"
 [downlink_voice]
 cap_kbps = 24
 
+[playback]
+ground = "pulse:headset"
+
 [region_points]
 wrist = [[40, 30], [280, 33.5], [300, 210], [25, 205]]
 
@@ -80,8 +85,10 @@ resume_within_s = 0.2
 slow_m_s = 0.05
 """
 TABLES = {
-    "cameras": ("wrist", "stereo"),
+    "cameras": ("wrist", "stereo", "both"),
+    "composed": {"both": Composition(compose=("wrist", "left"), layout="inset", share=0.25)},
     "region_points": {"wrist": ((40, 30), (280, 33.5), (300, 210), (25, 205))},
+    "playback": Playback(ground="pulse:headset"),
     "rtc": RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000),
     "safety": SafetyLimits(resume_within_s=0.2, slow_m_s=0.05),
     "inputs": ("wrist", "left", "right", "ground_mic", "operator_camera", "operator_mic"),
@@ -146,6 +153,7 @@ def test_every_field_of_a_file_reaches_the_setup_and_without_a_name_it_takes_the
 #: Before, in and after the table of the uplink's video.
 TOML = 'cameras = ["stereo", "static"]\n[uplink_video]\ncap_kbps = 85\n'
 STATIC = '"static"'
+OWN, END = "composed.static = {compose = ", "}\n" + TOML
 
 
 @pytest.mark.rule("6")
@@ -175,6 +183,28 @@ STATIC = '"static"'
         (TOML.replace(STATIC, '"wrist"'), "--source wrist=SPEC"),
         (TOML.replace('["stereo", "static"]', "[]"), "name at least one"),
         (TOML.replace('["stereo", "static"]', STATIC), "list of texts"),
+        (OWN + "['static', 'left']" + END, "composed.static: static is composed itself: name cam"),
+        (OWN + "['stereo', 'left']" + END, "composed.static: stereo is composed itself: name"),
+        (OWN + "['left', 'right'], size = 2" + END, "unknown field composed.static.size"),
+        (OWN + "3" + END, "composed must be a table of tables, like work = "),
+        (OWN + "['left', 'left']" + END, "compose takes two cameras"),
+        (OWN + "['left', 'roof']" + END, "input roof .* --source roof=SPEC"),
+        (
+            OWN + "['left', 'right'], layout = 'grid'" + END,
+            "layout 'grid': take one of merged,",
+        ),
+        (OWN + "['left', 'right'], share = 0.01" + END, "share 0.01: take 0.05 to 0.5"),
+        (
+            f"{OWN}['left', 'right'], layout = 'inset'{END}size = '48x32'",
+            "of 14x10 pixels is too small: take a larger share, or",
+        ),
+        (f"composed.roof.compose = ['left', 'right']\n{TOML}", "cameras does not name it: add it"),
+        (f"composed.stereo.compose = ['left', 'right']\n{TOML}", "give yours another name"),
+        ('playback.space = "jack:x"\nuplink_voice.cap_kbps = 7\n' + TOML, "write default, alsa:DE"),
+        (
+            'playback.ground = "default"\n' + TOML,
+            r"no downlink_voice to play: add \[downlink_voice",
+        ),
         ("sources = 3\n" + TOML, "sources must be a table"),
         ('sources = {head = "x.mp4"}\n' + TOML, "left, right, static"),
         ("uplink_voice = 8\n" + TOML, r"table \[uplink_voice\]"),

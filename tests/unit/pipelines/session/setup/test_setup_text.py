@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 
 import pytest
 
+from pipelines.session.setup.composition import Composition
 from pipelines.session.setup.setup_file import BUILT_IN, setup_from_table
 from pipelines.session.setup.setup_text import setup_toml
 
@@ -20,6 +21,8 @@ SETUPS = [
         tasks=True,
         recorded_cameras="all",
         region="stylus",
+        cameras=("stereo", "static", "bo th"),
+        composed={"bo th": Composition(compose=("head", "static"), share=0.4)},
         region_points={"stereo": ((80.0, 60.0), (560.0, 66.5), (600.0, 420.0), (50.0, 410.0))},
         uplink_video=replace(
             BUILT_IN["taskboard"].uplink_video,

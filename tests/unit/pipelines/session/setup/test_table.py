@@ -113,7 +113,7 @@ def own_setup(**changes):
         ({"cameras": ("static", "ground_mic")}, "camera ground_mic .* rename it"),
         ({"radio": "geo", "radio_delay_ms": 12.5}, "radio geo has .* take radio cable"),
         ({"radio": "storm"}, "unknown radio storm"),
-        ({"hand": "soft"}, "hand 'soft': take one of direct, mediated"),
+        ({"hand": "soft"}, "hand 'soft': take one of adaptive, direct, mediated"),
     ],
 )
 def test_a_setup_cannot_be_changed_or_misused(changes, says):

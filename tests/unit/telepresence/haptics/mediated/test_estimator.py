@@ -2,7 +2,7 @@
 
 import random
 from itertools import pairwise
-from math import cos, pi, radians, sin, tau
+from math import cos, hypot, pi, radians, sin, tau
 
 import pytest
 
@@ -210,5 +210,10 @@ def test_a_wall_takes_over_from_the_measured_force_in_300_ms():
     # A wall that is taken back gives the whole force back, and the next one begins anew.
     assert residual.rest_n(None, 0.0, 0.024, 1.0, -5.0, 910 * MS) == (1.0, -5.0)
     assert residual.rest_n(slant, 0.0, 0.024, 1.0, -5.0, 940 * MS)[1] == pytest.approx(-4.6)
+    # What goes with the velocity, shown late, would keep a hand swinging.
+    for k in range(2000):
+        swing, speed = 0.005 * sin(0.02 * k), 0.1 * cos(0.02 * k)
+        fx, fy = residual.rest_n(slant, swing, 0.024, 1.0 - 30.0 * speed, -5.0, (950 + k) * MS)
+        assert k < 1000 or hypot(fx - 1.0, fy + 1.0) < 0.5
     # The first call of all has no time before it.
     assert Residual().rest_n(slant, 0.0, 0.024, 1.0, -5.0, 900 * MS) == (1.0, -5.0)
