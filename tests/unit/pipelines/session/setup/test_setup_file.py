@@ -128,7 +128,7 @@ def test_every_field_of_a_file_reaches_the_setup_and_without_a_name_it_takes_the
         assert f"{entry.name}" in EVERY_FIELD, f"{entry.name} is not in the file of this test"
     for name, value in (tomllib.loads(EVERY_FIELD) | TABLES).items():
         if name in TABLES or not isinstance(value, dict):
-            assert getattr(setup, name) == value
+            assert getattr(setup, name) == (tuple(value) if isinstance(value, list) else value)
     assert {one.name: asdict(one) for one in setup.streams} == {
         name: {"name": name, **values} for name, values in STREAMS.items()
     }
