@@ -20,16 +20,6 @@ def _experiments():
     return [(folder / "index.md", sorted(folder.glob("*.md")))]
 
 
-def _defined(name: str) -> bool:
-    packages = (ROOT / package for package in ("kontur_av", "telepresence", "pipelines"))
-    pattern = re.compile(rf"^class {name}\b", re.MULTILINE)
-    return any(
-        pattern.search(path.read_text(encoding="utf-8"))
-        for package in packages
-        for path in package.rglob("*.py")
-    )
-
-
 @pytest.mark.parametrize("page", [*PAGES, *_experiments()[0][1]], ids=lambda page: page.stem)
 def test_every_fragment_of_a_link_is_a_heading(page):
     for name, fragment in re.findall(
