@@ -8,6 +8,11 @@
    The robot is a mass of 1 kg before a wall. The joystick is in a hand that moves it in a circle
    and lets go of its dead-man button every eight seconds. With a key file as third argument they
    answer other machines, too. To drive hardware, replace `advance`, `measure` and the facts.
+
+   What follows the key file, or -, are axes behind x and y, in the setup's order:
+
+       ./udp_robot robot 9000 - z yaw gripper &
+       ./udp_robot joystick 9001 - z yaw gripper &
 */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
@@ -24,7 +29,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { VERSION = 1, AXES = 2, KEY = 32, NONCE = 16, CODE = 16, HEAD = 4, LONGEST = 200 };
+enum { VERSION = 1, PLANE = 2, MOST = 7, KEY = 32, NONCE = 16, CODE = 16, HEAD = 4, LONGEST = 400 };
 enum { HELLO = 1, WELCOME = 2, COMMAND = 3, READING = 4 };
 enum { ROBOT = 1, JOYSTICK = 2 };
 enum { POWER = 1, ACTIVE = 2 };                     /* of a robot: the states wanted; 0 is off */
@@ -138,10 +143,18 @@ static int is_authentic(const uint8_t *datagram, size_t size, const uint8_t key[
 
 /* The device. */
 
+/* What it can have behind x and y: half its range, force, speed (m, N; rad, N m), and its kind. */
+static const struct axis { const char *name; double half, force, speed; int kind; } known[] = {
+    {"z", 0.10, 12.0, 0.5, 1},     {"roll", 1.0, 0.8, 3.0, 2}, {"pitch", 1.0, 0.8, 3.0, 2},
+    {"yaw", 1.0, 0.8, 3.0, 2},     {"gripper", 0.04, 12.0, 0.3, 1},
+};
+static const struct axis *more[MOST];  /* of x and y: 0 */
+static int axes = PLANE;
+
 static int role;
 static int state;                      /* as the newest command wants it; 0 after a silence */
-static double force[AXES];             /* as the newest command orders it, N */
-static double place[AXES], speed[AXES];
+static double force[MOST];             /* as the newest command orders it, N */
+static double place[MOST], speed[MOST];
 static int pressed;                    /* the dead-man button */
 
 static double wall(void)
@@ -159,10 +172,12 @@ static void advance(double dt)
     if (role == ROBOT) {
         /* One that is not active has no force, and brakes. */
         double friction = state == ACTIVE ? friction_n_s_m : brake_n_s_m;
-        for (int i = 0; i < AXES; i++) {
+        for (int i = 0; i < axes; i++) {
+            /* A rotation is a mass at a lever of 0.1 m. */
+            double inertia = mass_kg * (more[i] && more[i]->kind == 2 ? 0.01 : 1.0);
             double push = (state == ACTIVE ? force[i] : 0.0) + (i ? 0.0 : wall());
-            push -= friction * speed[i];
-            speed[i] += push / mass_kg * dt;
+            push -= friction * speed[i] * inertia;
+            speed[i] += push / inertia * dt;
             place[i] += speed[i] * dt;
         }
     } else if (role == JOYSTICK && state == APPLICATION) {
@@ -174,10 +189,14 @@ static void advance(double dt)
         cosine -= sine * turn * dt;
         place[0] = radius_m * (1.0 - cosine), place[1] = radius_m * sine;
         speed[0] = radius_m * turn * sine, speed[1] = radius_m * turn * cosine;
+        for (int i = PLANE; i < axes; i++) {
+            place[i] = 0.5 * more[i]->half * sine;
+            speed[i] = 0.5 * more[i]->half * turn * cosine;
+        }
     } else {
         /* The hand lets go, and the stick springs back to its middle. */
         since_s = sine = 0.0, cosine = 1.0, pressed = 0;
-        for (int i = 0; i < AXES; i++) speed[i] = place[i] = 0.0;
+        for (int i = 0; i < axes; i++) speed[i] = place[i] = 0.0;
     }
 }
 
@@ -193,6 +212,13 @@ static uint8_t *put_facts(uint8_t *at)
     at = put(at, 0, 1);                             /* LEDs */
     at = put_float(at, role == ROBOT ? 0.15 : 0.12); /* half the workspace along x, m */
     at = put_float(at, role == ROBOT ? 0.10 : 0.08); /* and along y */
+    for (int i = PLANE; i < axes; i++) {
+        at = put_float(put_float(put_float(at, more[i]->half), more[i]->force), more[i]->speed);
+        at = put(at, (uint64_t)more[i]->kind, 1);
+        memset(at, 0, 11); /* its name, padded with zeros */
+        memcpy(at, more[i]->name, strlen(more[i]->name));
+        at += 11;
+    }
     memcpy(at, name, strlen(name));
     return at + strlen(name);
 }
@@ -225,7 +251,7 @@ static size_t sealed(uint8_t *datagram, uint8_t *end, const uint8_t by[KEY])
 
 static uint8_t *put_head(uint8_t *at, int kind, int detail)
 {
-    return put(put(put(put(at, VERSION, 1), (uint64_t)kind, 1), AXES, 1), (uint64_t)detail, 1);
+    return put(put(put(put(at, VERSION, 1), (uint64_t)kind, 1), (uint64_t)axes, 1), (uint64_t)detail, 1);
 }
 
 /* Answer a hello with a nonce of our own, which makes the session's keys. */
@@ -253,7 +279,7 @@ static size_t measure(uint8_t *out)
     end = put(put(end, ++now.sent, 8), now.newest, 8);
     end = put(put(end, 0, 2), 0, 2);            /* no button pressed, no error, so no text */
     end = put(end, 0x7fc00000, 4);              /* not a number: no thermometer */
-    for (int i = 0; i < AXES; i++)
+    for (int i = 0; i < axes; i++)
         end = put_float(put_float(put_float(end, place[i]), speed[i]), i ? 0.0 : wall());
     return sealed(out, end, now.readings);
 }
@@ -261,8 +287,8 @@ static size_t measure(uint8_t *out)
 /* Take a datagram; return how many octets the answer has, 0 for none. */
 static size_t answer(uint8_t *out, const uint8_t *in, size_t size)
 {
-    const size_t hello = HEAD + NONCE + CODE, command = HEAD + 12 + 12 * AXES + CODE;
-    if (size < HEAD || in[0] != VERSION || in[2] != AXES) return 0;
+    const size_t hello = HEAD + NONCE + CODE, command = HEAD + 12 + 12 * (size_t)axes + CODE;
+    if (size < HEAD || in[0] != VERSION || in[2] != (in[1] == HELLO ? PLANE : axes)) return 0;
     if (in[1] == HELLO && size == hello && in[3] == role && is_authentic(in, size, key))
         return welcome(out, in);
     if (in[1] != COMMAND || size != command) return 0;
@@ -276,12 +302,13 @@ static size_t answer(uint8_t *out, const uint8_t *in, size_t size)
     now.newest = number;
     heard_ns = clock_ns();
     state = in[3];
-    for (int i = 0; i < AXES; i++) {
+    for (int i = 0; i < axes; i++) {
+        double limit = more[i] ? more[i]->force : LIMIT_N;
         double wanted = got_float(in + HEAD + 12 + 12 * i);
         /* Whatever it is told, it exerts no more than it can, and nothing that is no number. */
-        force[i] = !(wanted >= -LIMIT_N) ? wanted < 0.0 ? -LIMIT_N : 0.0
-                   : wanted > LIMIT_N    ? LIMIT_N
-                                         : wanted;
+        force[i] = !(wanted >= -limit) ? wanted < 0.0 ? -limit : 0.0
+                   : wanted > limit    ? limit
+                                       : wanted;
     }
     return measure(out);
 }
@@ -307,14 +334,18 @@ static void read_key(const char *path)
 
 int main(int count, char **words)
 {
-    if (count < 3 || count > 4 || (strcmp(words[1], "robot") && strcmp(words[1], "joystick"))) {
-        fprintf(stderr, "usage: %s robot|joystick PORT [KEYFILE]\n", words[0]);
+    for (int word = 4; word < count; word++)
+        for (size_t i = 0; i < sizeof known / sizeof *known && axes < MOST; i++)
+            if (!strcmp(words[word], known[i].name)) more[axes++] = &known[i];
+    if (count < 3 || axes - PLANE != (count > 4 ? count - 4 : 0) || (strcmp(words[1], "robot") && strcmp(words[1], "joystick"))) {
+        fprintf(stderr, "usage: %s robot|joystick PORT [KEYFILE|- [z|roll|pitch|yaw|gripper ...]]\n", words[0]);
         return 2;
     }
     role = strcmp(words[1], "robot") ? JOYSTICK : ROBOT;
-    if (count == 4) read_key(words[3]);
+    int keyed = count > 3 && strcmp(words[3], "-");
+    if (keyed) read_key(words[3]);
     struct sockaddr_in own = {.sin_family = AF_INET, .sin_port = htons((uint16_t)atoi(words[2]))};
-    own.sin_addr.s_addr = htonl(count == 4 ? INADDR_ANY : INADDR_LOOPBACK);
+    own.sin_addr.s_addr = htonl(keyed ? INADDR_ANY : INADDR_LOOPBACK);
     int udp = socket(AF_INET, SOCK_DGRAM, 0);
     if (udp < 0 || bind(udp, (struct sockaddr *)&own, sizeof own)) {
         perror(words[2]);

@@ -9,7 +9,6 @@ from rich.text import Text
 from kontur_av.clock import NS_PER_S
 from pipelines.report.model import CheckReport, FigureReport, JoystickTestReport, TransitionReport
 from pipelines.session.setup.setup_file import load_setup
-from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.script import CheckResult
 from telepresence.haptics.specs import is_simulated
@@ -17,7 +16,7 @@ from telepresence.haptics.specs import is_simulated
 SETUP_ROW = "--setup NAME  the setup whose axes it has"
 
 
-def axes_of(setup: str | None) -> Sequence[AxisName] | None:
+def axes_of(setup: str | None) -> Sequence[str] | None:
     """Return the axes behind x and y of this setup; None without one. ConfigError."""
     return None if setup is None else load_setup(setup).more_axes
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import sessions
+from pipelines.commands.check_results import SETUP_ROW, axes_of
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.rtc_options import ICE, ice_servers_of, token_of
 from pipelines.hand.haptic_loop import new_boot_id
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         f"--device SPEC <={SIMULATED}>  sim, evdev, evdev:/dev/input/eventN or "
         "udp:HOST:PORT[:KEYFILE] (default: sim)",
+        SETUP_ROW,
     )
     add_way_arguments(parser)
 
@@ -56,10 +58,11 @@ def drive(args: argparse.Namespace) -> int:
     """Drive the robot until it is stopped; 0 if the robot has answered, else 1."""
     spec, seconds = args.device, args.seconds
     say_unprotected(spec)
-    device = open_alone(spec, hand=Hand())
+    axes = axes_of(args.setup) or ()
+    device = open_alone(spec, hand=Hand(), axes=axes)
     try:
-        handle = OperatedHandle(device)
-        link = joystick_link(boot_id=new_boot_id())
+        handle = OperatedHandle(device, axes=axes)
+        link = joystick_link(boot_id=new_boot_id(), more=len(axes))
         side = JoystickSide(link=link, handle=handle)
         with reached(args, "joystick") as way:
             run_side(side, lambda now_ns: handle.handle_feedback(link.latest(now_ns)), way, seconds)

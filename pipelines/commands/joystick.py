@@ -14,7 +14,6 @@ from pipelines.hand.timed_calls import timed
 from pipelines.report.report_file import WordsConsole, check_writable, write_report
 from pipelines.session.command_process import ended_alike, output_that_may_fail, stopped_by_signals
 from pipelines.session.option_rows import add_actions
-from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.checks import CHECKS, CheckBench
 from telepresence.haptics.device.gamepad import find_gamepads
 from telepresence.haptics.device.simulated import FAULTS
@@ -78,7 +77,7 @@ def _list() -> int:
     return 0
 
 
-def _check(spec: str, axes: Sequence[AxisName] | None) -> int:
+def _check(spec: str, axes: Sequence[str] | None) -> int:
     say_unprotected(spec)
     device, console = open_alone(spec, axes=axes), WordsConsole()
     console.print(

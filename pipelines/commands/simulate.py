@@ -16,7 +16,6 @@ from pipelines.session.options import add_session_options, asked_setup, stream_o
 from pipelines.virtual.media import check_virtual_sources
 from pipelines.virtual.session import parse_selections
 from pipelines.virtual.simulate import replay, simulate
-from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.robot import Robot
@@ -145,7 +144,7 @@ def add_virtual_arguments(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def opened_devices(
-    args: argparse.Namespace, axes: Sequence[AxisName]
+    args: argparse.Namespace, axes: Sequence[str]
 ) -> Iterator[tuple[Robot | None, JoystickDevice | None]]:
     """Yield what the options name, with these axes; ConfigError for what lives in real time."""
     robot: Robot | None = None

@@ -21,7 +21,7 @@ import numpy as np
 from kontur_av.clock import NS_PER_MS, NS_PER_S, Clock
 from kontur_av.errors import ConfigError
 from kontur_av.returned import PartError, fault_of, taken
-from telepresence.haptics.axes import AxisCapabilities, AxisName, AxisReading, MoreAxis, check_axes
+from telepresence.haptics.axes import AxisCapabilities, AxisReading, MoreAxis, check_axes
 from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.script import CheckResult, Figure
 from telepresence.haptics.robot import RobotCapabilities
@@ -156,7 +156,7 @@ class DeviceCheck(Generic[R]):
     #: What shows one of its axes behind x and y as a device.
     _view: type["RobotAxis | JoystickAxis"]
 
-    def __init__(self, device: Any, clock: Clock, axes: Sequence[AxisName] | None = None) -> None:
+    def __init__(self, device: Any, clock: Clock, axes: Sequence[str] | None = None) -> None:
         self._device, self._clock, self._axes = device, clock, axes
         #: Of the calls that the machine did not interrupt.
         self._calls_ns: list[int] = []

@@ -26,7 +26,7 @@ from pipelines.hand.device_check import (
     along,
     speed,
 )
-from telepresence.haptics.axes import AxisName, MoreAxes
+from telepresence.haptics.axes import MoreAxes
 from telepresence.haptics.device.checks import CheckBench
 from telepresence.haptics.device.device import (
     KEEPS_FORCE_NS,
@@ -56,7 +56,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
     _device: RobotDevice
 
     def __init__(
-        self, device: RobotDevice, clock: Clock, axes: Sequence[AxisName] | None = None
+        self, device: RobotDevice, clock: Clock, axes: Sequence[str] | None = None
     ) -> None:
         super().__init__(device, clock, axes)
         self._takes_force = self._powered = False

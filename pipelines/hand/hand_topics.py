@@ -55,7 +55,7 @@ class JoystickOrders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 class AxisStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """An axis of the joystick behind x and y: m and N, of rotations rad and N m.
 
-    force: that its motor exerts.
+    force: that its motor exerts. unit: of the position, "m" or "rad".
     """
 
     name: str
@@ -63,6 +63,7 @@ class AxisStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     half_range: float
     force: float
     force_limit: float
+    unit: str = "m"
 
 
 class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):

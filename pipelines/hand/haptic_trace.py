@@ -5,7 +5,7 @@ is packed at once, because packing row by row would cost several times as much.
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import Any, Final
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.session.topic import Topic
-from telepresence.haptics.axes import AXIS_NAMES, AxisName, lever_of
+from telepresence.haptics.axes import MOST_MORE_AXES
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
 #: One cycle. time_ns: its instant. x_m, y_m: place of the handle, or of the tip. fx_n, fy_n: the
@@ -37,23 +37,33 @@ ROW: Final = np.dtype(
 NO_SAMPLE: Final = -1
 
 
-def axis_columns(name: str) -> tuple[str, str, str]:
-    """Return the fields of an axis behind x and y in a row: place, force, credit of its port."""
-    if lever_of(name) == 1.0:
-        return f"{name}_m", f"{name}_n", f"{name}_uj"
-    return f"{name}_rad", f"{name}_n_m", f"{name}_uj"
+def axis_columns(place: str) -> tuple[str, str, str]:
+    """Return the fields of an axis behind x and y in a row: place, force, credit of its port.
+
+    place: the first of them, such as `z_m` or `pan_rad`; its unit is that of the axis.
+    """
+    name, _, unit = place.rpartition("_")
+    return place, f"{name}_n" if unit == "m" else f"{name}_n_m", f"{name}_uj"
 
 
-def row_type(axes: Sequence[str]) -> "np.dtype[np.void]":
+def row_type(places: Sequence[str]) -> "np.dtype[np.void]":
     """Return `ROW` with the fields of these axes, float32, at its end."""
-    more = [(field, "<f4") for name in axes for field in axis_columns(name)]
+    more = [(field, "<f4") for place in places for field in axis_columns(place)]
     return np.dtype(ROW.descr + more)
+
+
+def places_of(columns: Iterable[str]) -> list[str]:
+    """Return the place of each axis behind x and y in the fields of rows or of a table."""
+    known = dict.fromkeys(columns)
+    names = [one.removesuffix("_uj") for one in known if one.endswith("_uj")]
+    places = [place for name in names for place in (f"{name}_m", f"{name}_rad")]
+    return [place for place in places if place in known]
 
 
 #: Rows of a block.
 BLOCK_ROWS: Final = 20
-#: With all axes, of which a last octet has a bit each.
-BLOCK_OCTETS: Final = BLOCK_ROWS * row_type(AXIS_NAMES).itemsize + 1
+#: With all axes. Behind the rows are the places of the axes as a text, and its length.
+BLOCK_OCTETS: Final = BLOCK_ROWS * (ROW.itemsize + 12 * MOST_MORE_AXES) + 16 * MOST_MORE_AXES + 1
 
 
 class HapticBlock(bytes):
@@ -107,8 +117,8 @@ def rows_of(block: bytes) -> NDArray[np.void]:
     """Return a block as rows: (rows,), dtype `ROW` or `row_type` of its axes, read-only."""
     if len(block) % ROW.itemsize == 0:
         return np.frombuffer(block, ROW)
-    axes = [name for bit, name in enumerate(AXIS_NAMES) if block[-1] >> bit & 1]
-    return np.frombuffer(block[:-1], row_type(axes))
+    end = len(block) - 1 - block[-1]
+    return np.frombuffer(block[:end], row_type(block[end:-1].decode("ascii").split()))
 
 
 _ASK_NS = 100 * NS_PER_MS
@@ -144,13 +154,16 @@ class HapticTrace(WatchedTopic):
 
     Nothing is dropped but the rows of a block that was begun when the last reader left.
 
-    axes: those behind x and y.
+    axes: the places of those behind x and y, as `axis_columns` takes them.
     """
 
-    def __init__(self, axes: Sequence[AxisName] = ()) -> None:
+    def __init__(self, axes: Sequence[str] = ()) -> None:
         super().__init__()
         self._pack = struct.Struct("<" + ("q5fI2i" + 3 * len(axes) * "f") * BLOCK_ROWS).pack
-        self._end = bytes([sum(1 << AXIS_NAMES.index(name) for name in axes)]) if axes else b""
+        text = " ".join(axes).encode("ascii")
+        # Blocks of such a length have no more axes.
+        text += b" " * ((len(text) + 1) % ROW.itemsize == 0)
+        self._end = text + bytes([len(text)]) if axes else b""
         self.rows: list[Row] | None = None
         #: Samples received until the row before; None: there was none.
         self._received: int | None = None

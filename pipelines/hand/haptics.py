@@ -38,7 +38,7 @@ class _End(Generic[Side]):
 
     def __init__(self, side: Side, probe: Probe) -> None:
         self.side = side
-        self.trace = HapticTrace([] if side.axes is None else side.axes.names)
+        self.trace = HapticTrace([] if side.axes is None else side.axes.columns)
         self._probe = probe
         self._link = side.link
         # Looked up once: they are called a thousand times a second.
@@ -94,12 +94,12 @@ def robot_side(
     walls_from_ns: int = 0,
     ownership: ControlAuthority | None = None,
     robot: Robot | None = None,
+    plane: Sequence[str] = ("x", "y"),
 ) -> RobotSide:
     """Return a robot's side within the limits of its envelope.
 
-    boot_id: 1 to 2^24-1; no earlier start of this end had it. residual, walls_from_ns: see
-    `RobotSide`.
-    ownership: where a partner may drive, too. robot: the simulated one, if None.
+    boot_id: 1 to 2^24-1; no earlier start of this end had it. residual, walls_from_ns, plane: see
+    `RobotSide`. ownership: where a partner may drive, too. robot: the simulated one, if None.
     """
     limits = envelope.limits
     max_age_ns = round(limits.command_max_age_s * NS_PER_S)
@@ -118,6 +118,7 @@ def robot_side(
         ownership=ownership,
         envelope=envelope,
         robot=robot,
+        plane=plane,
     )
 
 

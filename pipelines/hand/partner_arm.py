@@ -21,10 +21,10 @@ from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology.rows import LOOP_PRIORITY
 from pipelines.session.topology.streams import partner_ports
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
+from telepresence.haptics.axes import sample_octets
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.robot import Robot
-from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.haptics.schedule import PeriodicSchedule
 from telepresence.haptics.specs import open_robot
 from telepresence.tasks.definitions import ControlMode
@@ -102,11 +102,12 @@ class _PartnerPort:
     def __init__(self, context: Context) -> None:
         taken, given = partner_ports(context.setup)
         self._udp, self._send = context.listen_own(taken), context.own_sender(given)
+        self._most_octets = sample_octets(len(context.setup.more_axes)) + 1
 
     def _datagrams(self) -> Iterator[bytes]:
         # A partner's flood must not hold the loop: what is more than this waits, then is dropped.
         for _ in range(_MOST_DATAGRAMS):
-            if (datagram := receive(self._udp, SAMPLE_OCTETS + 1)) is None:
+            if (datagram := receive(self._udp, self._most_octets)) is None:
                 break
             yield datagram
 
@@ -195,6 +196,7 @@ def run_side(
     end_ns = None if seconds is None else now_ns + round(seconds * NS_PER_S)
     schedule = PeriodicSchedule(start_ns=now_ns, period_ns=CYCLE_NS)
     answers, look_ns = False, now_ns
+    most_octets = sample_octets(link.more) + 1
     print(f"{who}: waiting for the {peer}; Ctrl-C ends", flush=True)
     take_realtime(LOOP_PRIORITY)
     with stopped_by_signals() as stopped:
@@ -203,7 +205,7 @@ def run_side(
             now_ns = clock.now_ns()
             if schedule.handle_wakeup(now_ns) < 0:
                 continue
-            while (datagram := receive(own, SAMPLE_OCTETS + 1)) is not None:
+            while (datagram := receive(own, most_octets)) is not None:
                 side.handle_datagram(datagram, now_ns)
             before(now_ns)
             side.handle_cycle(now_ns, schedule.advance_ns)

@@ -124,6 +124,7 @@ class _Robot:
             walls_from_ns=setup.walls_from_ns,
             ownership=ownership,
             robot=robot,
+            plane=setup.axes,
         )
         self.end = RobotEnd(context.probe, side, board=board)
         self.port, gateway_port = session_ports(topology, ROBOT)
@@ -238,7 +239,9 @@ class _Joystick:
         reads = topology.reads(JOYSTICK)
         self._kept = KeptOrders(context.session)
         orders = self._kept.recall(JOYSTICK, JoystickOrders(paused=""), UNKNOWN_JOYSTICK)
-        self._handle = handle = OperatedHandle(device, paused=orders.paused)
+        self._handle = handle = OperatedHandle(
+            device, paused=orders.paused, axes=setup.more_axes, plane=setup.axes
+        )
         self.end = JoystickEnd(
             context.probe,
             boot_id=new_boot_id(),

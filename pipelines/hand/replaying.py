@@ -7,11 +7,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipelines.hand.haptic_trace import CONTACT, DEAD_MAN, axis_columns, lit_of, state_of
+from pipelines.hand.haptic_trace import (
+    CONTACT,
+    DEAD_MAN,
+    axis_columns,
+    lit_of,
+    places_of,
+    state_of,
+)
 from pipelines.hand.haptics import CYCLE_NS
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
-from telepresence.haptics.axes import AXIS_NAMES, lever_of
+from telepresence.haptics.axes import LEVER_M
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
 from telepresence.haptics.step_detector import StepDetector
@@ -93,12 +100,12 @@ class ReplayedEnd:
         self, rows: NDArray[np.void], time: ReplayTime, probe: Probe, *, robot: bool, boot_id: int
     ) -> None:
         self._robot = robot
-        axes = [name for name in AXIS_NAMES if axis_columns(name)[0] in (rows.dtype.names or ())]
+        axes = places_of(rows.dtype.names or ())
         make = robot_link if robot else joystick_link
         self._link: HapticLink[Any, Any] = make(boot_id=boot_id, more=len(axes))
         # Of each axis what the samples of this end carry, at its lever.
-        self._levers = [lever_of(name) for name in axes]
-        self._coming = _rows(rows, time, [axis_columns(name)[int(robot)] for name in axes])
+        self._levers = [LEVER_M if place.endswith("_rad") else 1.0 for place in axes]
+        self._coming = _rows(rows, time, [axis_columns(place)[int(robot)] for place in axes])
         self._next = next(self._coming, None)
         self._probe = probe
         self._sent, self._received = probe.series(SampleSentRow), probe.series(SampleReceivedRow)

@@ -174,6 +174,10 @@ class RobotCommands:
             offset_mm=safety.offset_mm,
             holds=robot.holds,
             joints=robot.joints,
+            axes=tuple(
+                (one.capabilities.name, one.position_m / one.lever_m, one.push_n * one.lever_m)
+                for one in robot.more
+            ),
             partner="none" if self._board is None else self._board.state(now_ns),
         )
 
@@ -287,6 +291,7 @@ class JoystickStatusTeller(WatchedTopic):
                     half_range=axis.capabilities.half_range,
                     force=axis.cut_n * axis.lever_m,
                     force_limit=axis.capabilities.force_limit,
+                    unit=axis.capabilities.unit,
                 )
                 for axis in handle.more
             ),

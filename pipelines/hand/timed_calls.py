@@ -12,7 +12,6 @@ from typing import Any
 
 from kontur_av.returned import PartError, fault_of
 from pipelines.session.command_process import handled
-from telepresence.haptics.axes import AxisName
 from telepresence.haptics.specs import load_robot
 
 #: A call that opens a device or gives it power may take longer.
@@ -87,7 +86,7 @@ def timed(device: Any) -> Iterator[Any]:
         yield calls
 
 
-def take_power(spec: str, axes: Sequence[AxisName] = ()) -> None:
+def take_power(spec: str, axes: Sequence[str] = ()) -> None:
     """Take a robot's power by a driver that is built anew. PartError if it may still have some."""
     device = load_robot(spec, axes)
     anew = ("configure", "deactivate", "power_off")

@@ -20,6 +20,7 @@ from pipelines.session.session_switch import ProcessOrder
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.rows import LOOP_PRIORITY, ProcessRow
 from pipelines.session.topology.table import Topology
+from telepresence.haptics.axes import AxisName
 from telepresence.tmtc.pus.dictionary import (
     Application,
     Dictionary,
@@ -282,8 +283,39 @@ class ProcessSupervisor:
         return {f"{name}_{each.name}": found[each.name] for each in _gauges(row)}
 
 
+def _with_axes(dictionary: Dictionary, axes: Sequence[AxisName]) -> Dictionary:
+    """Give the robot's report of state place and force of each axis behind x and y."""
+    if not axes:
+        return dictionary
+
+    def wider(table: Application) -> Application:
+        names, last = [], max(one.number for one in table.parameters)
+        added = []
+        for axis in axes:
+            units = ("m", "N") if axis.kind == "linear" else ("rad", "N.m")
+            for name, unit in zip((str(axis), f"{axis}_force"), units, strict=True):
+                names.append(name)
+                number = last + len(names)
+                added.append(Parameter(name=name, number=number, type="f32", unit=unit))
+        return replace(
+            table,
+            parameters=(*table.parameters, *added),
+            structures=tuple(
+                replace(one, parameters=(*one.parameters, *names)) if one.name == "state" else one
+                for one in table.structures
+            ),
+        )
+
+    return Dictionary(
+        applications=tuple(
+            wider(one) if one.name == "robot" else one for one in dictionary.applications
+        )
+    )
+
+
 def session_dictionary(dictionary: Dictionary, topology: Topology) -> Dictionary:
-    """Return `dictionary` with a session's cameras, components and processes; ConfigError."""
+    """Return `dictionary` with a session's cameras, axes, components and processes; ConfigError."""
+    dictionary = _with_axes(dictionary, topology.setup.more_axes)
     known = supervised(with_components(dictionary, topology.options.components), topology)
     return Dictionary(
         applications=tuple(

@@ -135,7 +135,10 @@ class RobotSource:
         known = tuple(values.values())
         if known != self._known or now_ns >= self._known_ns:
             self._known, self._known_ns = known, now_ns + SAMPLE_NS
-            self._end.handle_values("robot", values | _joints(status), now_ns)
+            values |= _joints(status)
+            for name, place, force in status.axes:
+                values |= {name: place, f"{name}_force": force}
+            self._end.handle_values("robot", values, now_ns)
         faults = (status.boot_id, status.faults)
         if status.faults and faults != self._faults:
             self._end.handle_event("robot", "error", now_ns)

@@ -41,7 +41,7 @@ from pipelines.recording.schemas import (
 )
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown
 from pipelines.session.session_metrics import gathered
-from telepresence.haptics.axes import AXIS_NAMES
+from telepresence.haptics.axes import AXIS_NAMES, MOST_OWN_AXES, AxisName
 from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.link.link_metrics import (
     PathMetrics,
@@ -382,6 +382,10 @@ def _text(value: object) -> object:
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
 
+_PLACES = [f"{name}_{'m' if AxisName(name).kind == 'linear' else 'rad'}" for name in AXIS_NAMES]
+_OWN_FIELDS = [
+    (f"own_{own}", f"own_{own}_force", f"own_{own}_uj") for own in range(1, MOST_OWN_AXES + 1)
+]
 #: Cycles of one end of the hand: columns, so no record.
 HAPTIC_SAMPLES = MessageSchema(
     package=OWN,
@@ -404,20 +408,32 @@ HAPTIC_SAMPLES = MessageSchema(
         ),
         *(
             ("float[]", field, what)
-            for name in AXIS_NAMES
+            for place in _PLACES
             for field, what in zip(
-                haptic_trace.axis_columns(name),
+                haptic_trace.axis_columns(place),
                 ("as `x_m`", "as `fx_n`", "as `energy_uj`"),
                 strict=True,
             )
         ),
+        ("string[]", "own_axes", "places of the robot's own axes with their units, as `pan_rad`"),
+        *(
+            ("float[]", field, f"of the axis {own} in `own_axes`, as `{like}`")
+            for own, fields in enumerate(_OWN_FIELDS, 1)
+            for field, like in zip(fields, ("x_m", "fx_n", "energy_uj"), strict=True)
+        ),
     ),
 )
 _DTYPES = {"sfixed64": "<i8", "sfixed32": "<i4", "float": "<f4", "fixed32": "<u4"}
-_FIELDS = {row.name: _DTYPES[row.type] for row in HAPTIC_SAMPLES.fields}
-_AXIS_FIELDS = {field for name in AXIS_NAMES for field in haptic_trace.axis_columns(name)}
+_AXIS_FIELDS = [field for place in _PLACES for field in haptic_trace.axis_columns(place)]
+_OWN = [field for fields in _OWN_FIELDS for field in fields]
 #: A haptic sample of a recording; fields as in the schema. More axes have theirs behind it.
-SAMPLE: Final = np.dtype([each for each in _FIELDS.items() if each[0] not in _AXIS_FIELDS])
+SAMPLE: Final = np.dtype(
+    [
+        (row.name, _DTYPES[row.type])
+        for row in HAPTIC_SAMPLES.fields
+        if row.name not in ("own_axes", *_AXIS_FIELDS, *_OWN)
+    ]
+)
 VIDEO, AUDIO, LOG = RecordedPicture.schema, RecordedSound.schema, LogLine.schema
 UNIT_METADATA, SPACE_PACKET = UnitMetadata.schema, RecordedPacket.schema
 TRANSFER_FRAMES, LINK_SENT = RecordedFrames.schema, LinkSent.schema
@@ -434,7 +450,13 @@ NO_SAMPLE: Final = haptic_trace.NO_SAMPLE
 
 
 def _sample_type(axis_fields: Iterable[str]) -> "np.dtype[np.void]":
-    return np.dtype(SAMPLE.descr + [(name, _FIELDS[name]) for name in axis_fields])
+    return np.dtype(SAMPLE.descr + [(name, "<f4") for name in axis_fields])
+
+
+def _own_fields(places: Sequence[str]) -> dict[str, str]:
+    """The schema's fields of a robot's own axes, by their columns."""
+    columns = [field for place in places for field in haptic_trace.axis_columns(place)]
+    return dict(zip(columns, _OWN, strict=False))
 
 
 def haptic_samples(
@@ -444,7 +466,8 @@ def haptic_samples(
 
     sequences: (rows,), the number of each cycle's sample on the link; None: not known.
     """
-    axes = [name for name in rows.dtype.names or () if name in _AXIS_FIELDS]
+    places = haptic_trace.places_of(rows.dtype.names or ())
+    axes = [field for place in places for field in haptic_trace.axis_columns(place)]
     samples = np.empty(len(rows), _sample_type(axes))
     for name in samples.dtype.names or ():
         if name != "sequence":
@@ -456,8 +479,12 @@ def haptic_samples(
 def pack_haptics(samples: NDArray[np.void]) -> bytes:
     """Return the octets of samples: (n,), dtype `SAMPLE`, or with more axes."""
     message = message_class(HAPTIC_SAMPLES)()
+    places = haptic_trace.places_of(samples.dtype.names or ())
+    own = [place for place in places if place not in _PLACES]
+    fields = _own_fields(own)
+    message.own_axes.extend(own)
     for name in samples.dtype.names or ():
-        getattr(message, name).extend(samples[name].tolist())
+        getattr(message, fields.get(name, name)).extend(samples[name].tolist())
     return bytes(message.SerializeToString())
 
 
@@ -467,16 +494,14 @@ def unpack_haptics(octets: bytes) -> NDArray[np.void]:
     ProtocolError for octets of anything else.
     """
     message = parse_message(HAPTIC_SAMPLES, octets)
-    columns = {row.name: getattr(message, row.name) for row in HAPTIC_SAMPLES.fields}
-    columns = {
-        name: column for name, column in columns.items() if column or name not in _AXIS_FIELDS
-    }
+    fields = _own_fields(message.own_axes)
+    more = [*(name for name in _AXIS_FIELDS if getattr(message, name)), *fields]
+    names = (*(SAMPLE.names or ()), *more)
+    columns = {name: getattr(message, fields.get(name, name)) for name in names}
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         raise ProtocolError(f"{HAPTIC_SAMPLES.full_name}: fields of {sorted(lengths)} values")
-    samples = np.empty(
-        lengths.pop(), _sample_type(name for name in columns if name in _AXIS_FIELDS)
-    )
+    samples = np.empty(lengths.pop(), _sample_type(more))
     for name, column in columns.items():
         samples[name] = column
     return samples

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ProtocolError
-from telepresence.haptics.axes import BUILT_IN_AXES, AxisName
+from telepresence.haptics.axes import built_in_axis
 from telepresence.haptics.device.page import CAPABILITIES, PageHandModel, PageInput
 
 #: The left shoulder, as `joy_node` of ROS 2 numbers the buttons of the usual controllers.
@@ -61,12 +61,12 @@ class Ros2Hand:
     another one is heard.
     """
 
-    def __init__(self, more: Sequence[AxisName] = ()) -> None:
+    def __init__(self, more: Sequence[str] = ()) -> None:
         self._names = ("x", "y", *more)
         self._halves = (
             CAPABILITIES.half_width_m,
             CAPABILITIES.half_height_m,
-            *(BUILT_IN_AXES[name].half_range for name in more),
+            *(built_in_axis(name).half_range for name in more),
         )
         self.taken = self.refused = 0
         self._hand = _Speaker(_FRESH_NS)

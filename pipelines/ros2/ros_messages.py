@@ -15,10 +15,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import VideoCodec
-from pipelines.hand.haptic_trace import DEAD_MAN, axis_columns
+from pipelines.hand.haptic_trace import DEAD_MAN, places_of
 from pipelines.ros2.hand import DEAD_MAN_BUTTON, JoyMessage, Velocity
 from pipelines.ros2.publications import DIAGNOSTICS, IMAGE, JOY, POSE, TEXT, TWIST, VIDEO, WRENCH
-from telepresence.haptics.axes import AXIS_NAMES
 
 #: Foxglove's schema of a coded picture, which no release of ROS 2 brings along.
 _VIDEO_FIELDS = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
@@ -110,9 +109,9 @@ class RosMessages:
         """
         row = rows[-1]
         places = {"x": -_value(row, "x_m"), "y": _value(row, "y_m")}
-        for axis in AXIS_NAMES:
-            places[axis] = _value(row, axis_columns(axis)[0])
-        axes = [places[axis] / half for axis, half in halves.items()]
+        for place in places_of(row.dtype.names or ()):
+            places[place.rpartition("_")[0]] = _value(row, place)
+        axes = [places.get(axis, 0.0) / half for axis, half in halves.items()]
         buttons = [0] * DEAD_MAN_BUTTON + [int(bool(row["flags"] & DEAD_MAN))]
         return self._packed(
             JOY,

@@ -151,13 +151,14 @@ class WelcomeText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AxisText(msgspec.Struct, frozen=True, kw_only=True):
-    """An axis of the joystick behind x and y: m and N, of rotations rad and N m."""
+    """An axis of the joystick behind x and y: m and N, or rad and N m. unit: of the position."""
 
     name: str
     position: float
     half_range: float
     force: float
     force_limit: float
+    unit: str = "m"
 
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):

@@ -51,7 +51,8 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     emergency stop holds. stopped_by: who orders it; a joystick's order stays after a release here.
     offset_mm: the robot's place less the hand's. holds: its hand holds a
     ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
-    partner: of the partner's robot, "none", "absent", "ready" or "driven".
+    axes: of each behind x and y its name, place and force of its surroundings: m and N, or rad and
+    N m. partner: of the partner's robot, "none", "absent", "ready" or "driven".
     """
 
     boot_id: int
@@ -78,6 +79,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     joints: tuple[tuple[float, float], ...] = ()
     partner: str = "none"
     stopped_by: str = ""
+    axes: tuple[tuple[str, float, float], ...] = ()
 
 
 class CameraRequest(msgspec.Struct, frozen=True, array_like=True):

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from kontur_av.clock import NS_PER_US
 from kontur_av.errors import ProtocolError
 from kontur_av.media import BLOCK_SAMPLES, I420
-from telepresence.haptics.axes import AXIS_NAMES
+from telepresence.haptics.axes import MOST_MORE_AXES
 from telepresence.haptics.device.page import NO_PICTURE, PageInput
 
 UNIT, SOUND, HAPTIC, PREVIEW, PONG = 1, 2, 3, 4, 5
@@ -136,7 +136,7 @@ def parse_seat_message(data: bytes, now_ns: int) -> Ping | PageInput:
     if kind != HAND:
         raise ProtocolError(f"a message of unknown type {kind}")
     axes, rest = divmod(len(data) - _HAND.size, 4)
-    if rest or not 0 <= axes <= len(AXIS_NAMES):
+    if rest or not 0 <= axes <= MOST_MORE_AXES:
         raise ProtocolError(f"a hand of {len(data)} octets")
     _, flags, buttons, sequence, x, y, picture_us = _HAND.unpack_from(data)
     more = struct.unpack_from(f"<{axes}f", data, _HAND.size)

@@ -371,10 +371,13 @@ class Simulation:
         #: The joystick in a hand; None for the one that taps targets.
         handle: Handle | None = None
         if self._device is not None:
-            handle = OperatedHandle(self._device)
-        elif self.setup.more_axes:
+            handle = OperatedHandle(self._device, axes=self.setup.more_axes, plane=self.setup.axes)
+        elif self.setup.more_axes or self.setup.axes != ("x", "y"):
             # The hand that taps targets moves the other axes, too.
-            handle = OperatedHandle(SimulatedDevice(hand=Hand(), axes=self.setup.more_axes))
+            axes = self.setup.more_axes
+            handle = OperatedHandle(
+                SimulatedDevice(hand=Hand(), axes=axes), axes=axes, plane=self.setup.axes
+            )
         elif self._cosmonaut is not None:
             handle = HeldJoystick(hand=self._cosmonaut)
         probe, boot_id = self._probe(up.sender), self._boot_id(up.sender)
@@ -388,6 +391,7 @@ class Simulation:
             residual=residual,
             walls_from_ns=self.setup.walls_from_ns,
             robot=given or Robot(axes=self.setup.more_axes),
+            plane=self.setup.axes,
         )
         robot = RobotEnd(probe, side)
         probe, boot_id = self._probe(up.receiver), self._boot_id(up.receiver)

@@ -6,13 +6,18 @@ They are those of x and y, with one coordinate. Rotations count as paths at thei
 from collections.abc import Sequence
 from dataclasses import replace
 
-from telepresence.haptics.axes import AxisName, AxisValue, MoreAxis
+from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.axes import AxisValue, MoreAxis
 from telepresence.haptics.haptic_metrics import PortMetrics
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.passivity import PortController
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
 from telepresence.haptics.sample import Command, Feedback
 
+_CYCLE_S = NS_PER_MS / NS_PER_S
+#: What a handle deflected fully tells of an axis in rate mode (m), and below which share of it the
+#: axis rests; before the first rest after a press it does not move.
+RATE_FULL_M, _NEUTRAL = 0.1, 0.05
 #: Skips `__new__` of a sample, which is one more Python call for each axis and cycle.
 _tuple = tuple.__new__
 
@@ -22,16 +27,17 @@ class _Axes:
 
     axes: Sequence[MoreAxis]
     controllers: Sequence[PortController]
-    #: The attributes of an axis that a sample tells, and that a row has as its force: of the
+    #: The attribute of an axis that a row has as its force: of the
     #: surroundings on a robot, of the motor on a handle.
-    _told: str
     _force: str
     #: By controller: what `acted` was at the last sample.
     _acted: list[int]
 
     @property
-    def names(self) -> list[AxisName]:
-        return [axis.capabilities.name for axis in self.axes]
+    def columns(self) -> list[str]:
+        """Of each axis its name and its unit, as `z_m`."""
+        facts = [axis.capabilities for axis in self.axes]
+        return [f"{one.name}_{one.unit}" for one in facts]
 
     def row(self) -> list[float]:
         """Return, of each axis, place (m; rad), force (N; N m) and credit (µJ)."""
@@ -44,25 +50,34 @@ class _Axes:
 
     def values(self) -> tuple[AxisValue, ...]:
         """Return what the next sample says of each axis."""
-        told, acted = self._told, self._acted
+        acted = self._acted
         self._acted = [controller.acted for controller in self.controllers]
         return tuple(
-            (getattr(axis, told), controller.port.granted_uj, controller.acted != before)
+            (self._told(axis), controller.port.granted_uj, controller.acted != before)
             for axis, controller, before in zip(self.axes, self.controllers, acted, strict=True)
         )
 
+    def _told(self, axis: MoreAxis) -> float:
+        """What a sample tells of an axis."""
+        raise NotImplementedError
+
     def report(self) -> dict[str, PortMetrics]:
-        """Return the energies of each axis' port, by its name."""
+        """Return the energies of each axis' port, by its name; in rate mode none pass it."""
         return {
             axis.capabilities.name: controller.report()
             for axis, controller in zip(self.axes, self.controllers, strict=True)
+            if not axis.rate
         }
 
 
 class RobotAxes(_Axes):
-    """At the robot: each axis follows the hand's by a spring and a damper."""
+    """At the robot: each axis follows the hand's by a spring and a damper.
 
-    _told = _force = "push_n"
+    With a scale, the force that is told has it too, so that the power is the same at both ends. In
+    rate mode nothing is told: the loop is open, and its port only observes.
+    """
+
+    _force = "push_n"
 
     def __init__(self, axes: Sequence[MoreAxis], model: RobotControllerModel) -> None:
         self.axes = axes
@@ -75,11 +90,14 @@ class RobotAxes(_Axes):
                     half_width_m=axis.half_m,
                 ),
                 x_m=axis.position_m,
+                passive=not axis.rate,
             )
             for axis in axes
         ]
         self._acted = [0] * len(axes)
         self._offsets = [0.0] * len(axes)
+        #: In rate mode: the handle has been in its middle since the press.
+        self._neutral = [False] * len(axes)
         self._presses = 0
 
     def step(self, command: Command | None, dt_ns: int, *, presses: int, speed: float) -> None:
@@ -93,15 +111,45 @@ class RobotAxes(_Axes):
             own = None
             if command is not None:
                 position_m, energy_uj, acted = command[-1][index]
-                if pressed:
-                    self._offsets[index] = controller.reference_x_m - position_m
-                position_m += self._offsets[index]
+                if axis.rate:
+                    position_m = self._led(index, axis, controller, position_m, pressed=pressed)
+                else:
+                    position_m *= axis.scale
+                    if pressed:
+                        self._offsets[index] = controller.reference_x_m - position_m
+                    position_m += self._offsets[index]
                 values = (position_m, 0.0, energy_uj, *command[3:6], acted, *command[7:])
                 own = _tuple(Command, values)
             controller.speed_m_s = speed * axis.most_m_s
             axis.force_n, _ = controller.step(
                 own, axis.position_m, 0.0, axis.speed_m_s, 0.0, dt_ns, touching=axis.contact
             )
+
+    def _led(
+        self,
+        index: int,
+        axis: MoreAxis,
+        controller: RobotController,
+        told_m: float,
+        *,
+        pressed: bool,
+    ) -> float:
+        """Return the place that leads the reference with the speed that a handle asks for."""
+        share = max(-1.0, min(1.0, told_m / RATE_FULL_M))
+        rests = abs(share) < _NEUTRAL
+        self._neutral[index] = rests or (self._neutral[index] and not pressed)
+        speed_m_s = 0.0
+        if self._neutral[index] and not rests:
+            speed_m_s = share * axis.scale * controller.speed_m_s
+        # Before an obstacle the reference does not run away.
+        model = controller.model
+        lead_m = model.force_limit_n / model.stiffness_n_m
+        off_m = controller.reference_x_m - axis.position_m
+        base_m = axis.position_m + max(-lead_m, min(lead_m, off_m))
+        return base_m + speed_m_s * (model.follow_s + _CYCLE_S)
+
+    def _told(self, axis: MoreAxis) -> float:
+        return 0.0 if axis.rate else axis.push_n * axis.scale
 
     def release(self) -> None:
         """The robot follows no hand in this cycle."""
@@ -113,7 +161,7 @@ class RobotAxes(_Axes):
 class JoystickAxes(_Axes):
     """At the joystick: each axis of the handle feels the robot's force."""
 
-    _told, _force = "position_m", "force_n"
+    _force = "force_n"
 
     def __init__(self, axes: Sequence[MoreAxis], model: JoystickControllerModel | None) -> None:
         self.axes = axes
@@ -132,4 +180,9 @@ class JoystickAxes(_Axes):
                 values = (force_n, 0.0, energy_uj, *feedback[3:6], acted, *feedback[7:])
                 own = _tuple(Feedback, values)
             controller.limit_n = min(limit_n, axis.force_limit_n)
+            if axis.rate:
+                continue
             axis.force_n, _ = controller.step(own, axis.position_m, 0.0, last_ns)
+
+    def _told(self, axis: MoreAxis) -> float:
+        return axis.position_m / axis.half_m * RATE_FULL_M if axis.rate else axis.position_m

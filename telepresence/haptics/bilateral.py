@@ -213,6 +213,8 @@ class RobotSide(_Side):
     envelope: whether the robot may follow the hand; None: whenever a fresh command has the dead-man
     button pressed.
 
+    plane: which of x and y the hand drives; the others stay.
+
     force_x_n, force_y_n: the coordinating force (N). For `robot`, see `Robot`.
     A robot that is not coupled follows its own mode, and the operator feels nothing.
     """
@@ -230,8 +232,11 @@ class RobotSide(_Side):
         walls_from_ns: int = 0,
         ownership: ControlAuthority | None = None,
         envelope: SafetyEnvelope | None = None,
+        plane: Sequence[str] = ("x", "y"),
     ) -> None:
         self.robot = robot = robot or Robot(board=board)
+        #: None: both.
+        self._plane = None if {"x", "y"} <= {*plane} else ("x" in plane, "y" in plane)
         self.ownership = ownership
         self.envelope = envelope
         self._restarts = 0
@@ -275,10 +280,11 @@ class RobotSide(_Side):
             self.axes is not None and any(axis.contact for axis in robot.more)
         )
         if self.ownership is not None:
-            speed_m_s = hypot(robot.vx_m_s, robot.vy_m_s)
+            speed_m_s = hypot(robot.vx_m_s, robot.vy_m_s, *(one.speed_m_s for one in robot.more))
             if self.ownership.handle_robot(speed_m_s, now_ns):
                 # No energy of the owner before pays for a movement of the new one.
-                controller.port.discard_credit(max(0.0, controller.port.credit_j))
+                for each in (controller, *(self.axes.controllers if self.axes else ())):
+                    each.port.discard_credit(max(0.0, each.port.credit_j))
                 if envelope is not None:
                     envelope.require_press(Hold.OWNER)
         push_x, push_y = robot.push_x_n, robot.push_y_n
@@ -347,6 +353,12 @@ class RobotSide(_Side):
                 command, controller.reference_x_m, controller.reference_y_m, self._now_ns
             )
             controller.speed_m_s = envelope.speed_m_s
+        if self._plane is not None and command is not None:
+            drives_x, drives_y = self._plane
+            command = command._replace(
+                x_m=command.x_m if drives_x else controller.reference_x_m,
+                y_m=command.y_m if drives_y else controller.reference_y_m,
+            )
         x, y, vx, vy = robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s
         fx, fy = controller.step(command, x, y, vx, vy, dt_ns, touching=robot.contact)
         self.force_x_n, self.force_y_n = fx, fy

@@ -66,6 +66,8 @@ class Deadband:
         self._radius = 0.0
         self._holding = False
         self._acted = False
+        #: Of each axis behind x and y.
+        self._more_acted: list[bool] = []
         self._last_x = self._last_y = 0.0
         self._last_ns = 0
         self._whole_until_ns = 0
@@ -98,11 +100,15 @@ class Deadband:
                 dx * dx + dy * dy < room * room
                 and value[2] - sent[2] < self._energy_uj
                 and value[3:_ACTED] == sent[3:_ACTED]
-                and value[_HALTED:] == sent[_HALTED:]
+                and value[_HALTED:-1] == sent[_HALTED:-1]
                 and holding == self._holding
+                and (not value[-1] or self._more_rest(value[-1], sent[-1]))
             ):
                 self.left_out += 1
                 self._acted = self._acted or value[_ACTED]
+                if value[-1]:
+                    old = self._more_acted or [False] * len(value[-1])
+                    self._more_acted = [a or one[2] for a, one in zip(old, value[-1], strict=True)]
                 return None
         self._sent, self._holding = value, holding
         self._due_ns = now_ns + LONGEST_PAUSE_NS - _EARLY_NS
@@ -110,8 +116,20 @@ class Deadband:
         self._radius = radius if radius > self._floor else self._floor
         if self._acted:
             self._acted = False
-            return value._replace(acted=True)
+            value = value._replace(acted=True)
+        if self._more_acted:
+            acted, self._more_acted = self._more_acted, []
+            axes = zip(acted, value[-1], strict=True)
+            value = value._replace(more=tuple((*one[:2], a or one[2]) for a, one in axes))
         return value
+
+    def _more_rest(self, axes: Any, sent: Any) -> bool:
+        """Whether no axis behind x and y differs so that it would be felt."""
+        return all(
+            abs(here - there) < max(self._share * abs(there), self._floor)
+            and energy_uj - sent_uj < self._energy_uj
+            for (here, energy_uj, _), (there, sent_uj, _) in zip(axes, sent, strict=True)
+        )
 
 
 def command_deadband() -> Deadband:

@@ -108,6 +108,7 @@ class HapticLink(Generic[Out, In]):
         self._unpack: Callable[[bytes], tuple[int, int, int, In]] = unpack
         self._robot = isinstance(session, RobotSession)
         self._echo = EchoProbe() if self._robot else EchoReturn()
+        self.more = more
         self._axes = AxisTotals(more, robot=self._robot) if more else None
         self._totals = _Totals()
         #: The session of the last sample sent.

@@ -11,10 +11,10 @@ from typing import Literal, NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.axes import (
     AxisCapabilities,
-    AxisName,
     MoreAxis,
     SimulatedAxis,
     built_in_axes,
+    set_up_axes,
 )
 from telepresence.haptics.board import WALL_X_M as WALL_X_M
 from telepresence.haptics.board import Board, led_at
@@ -114,9 +114,10 @@ class Robot:
         board: Board | None = None,
         x_m: float = 0.0,
         y_m: float = 0.0,
-        axes: Sequence[AxisName] = (),
+        axes: Sequence[str] = (),
     ) -> None:
         self.more: Sequence[MoreAxis] = built_in_axes(axes, meets=True)
+        set_up_axes(self.more, axes, limits=True)
         self.model = model or RobotModel()
         self.board = board or Board()
         self.x_m, self.y_m = x_m, y_m
@@ -244,6 +245,6 @@ class Robot:
             axis.step(axis.cut_n - brake * axis.speed_m_s, dt_ns)
 
 
-def simulated_robot(*, axes: Sequence[AxisName] = ()) -> Robot:
+def simulated_robot(*, axes: Sequence[str] = ()) -> Robot:
     """Return the robot that `sim` names. axes: those behind x and y."""
     return Robot(axes=axes)

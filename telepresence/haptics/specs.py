@@ -25,7 +25,7 @@ from warnings import warn
 from kontur_av.errors import ConfigError
 from kontur_av.parts import PluginRegistry, make_part
 from kontur_av.returned import PartError
-from telepresence.haptics.axes import AxisName, check_axes
+from telepresence.haptics.axes import check_axes, set_up_axes
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.user import UserJoystick
 from telepresence.haptics.hand import Hand
@@ -52,7 +52,7 @@ JOYSTICK_PLUGINS = PluginRegistry(
 
 
 def open_alone(
-    spec: str, *, hand: Hand | None = None, axes: Sequence[AxisName] | None = ()
+    spec: str, *, hand: Hand | None = None, axes: Sequence[str] | None = ()
 ) -> JoystickDevice:
     """Open a joystick without a session; ConfigError for one whose hand is in a session only."""
     if spec in (PAGE, ROS2_HAND):
@@ -63,7 +63,7 @@ def open_alone(
     return open_device(spec, hand=hand, axes=axes)
 
 
-def check_joystick(spec: str, axes: Sequence[AxisName] = ()) -> None:
+def check_joystick(spec: str, axes: Sequence[str] = ()) -> None:
     """Raise ConfigError if `spec` names no joystick with these axes that can be opened now."""
     open_device(spec, axes=axes).close()
 
@@ -74,7 +74,7 @@ def is_simulated(spec: str) -> bool:
 
 
 def open_device(
-    spec: str, *, hand: Hand | None = None, axes: Sequence[AxisName] | None = ()
+    spec: str, *, hand: Hand | None = None, axes: Sequence[str] | None = ()
 ) -> JoystickDevice:
     """Open the joystick that `spec` names; ConfigError if there is none, or it has other axes.
 
@@ -121,7 +121,7 @@ def _take_former_name(device: object) -> None:
         cast(Any, type(device)).capabilities = _FormerName()
 
 
-def load_robot(spec: str, axes: Sequence[AxisName] = ()) -> RobotDevice | Robot:
+def load_robot(spec: str, axes: Sequence[str] = ()) -> RobotDevice | Robot:
     """Return the driver that `spec` names, or a robot without one, still off; ConfigError.
 
     axes: those behind x and y, for one that has what it is asked for.
@@ -136,14 +136,14 @@ def capabilities_of(spec: str) -> RobotCapabilities | None:
     return getattr(load_robot(spec), "capabilities", None)
 
 
-def check_robot(spec: str, axes: Sequence[AxisName] = ()) -> None:
+def check_robot(spec: str, axes: Sequence[str] = ()) -> None:
     """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
     capabilities = getattr(load_robot(spec, axes), "capabilities", None)
     if capabilities is not None:
         check_axes(f"robot {spec}", capabilities.more, axes)
 
 
-def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
+def open_robot(spec: str, axes: Sequence[str] = ()) -> Robot:
     """Return the robot that `spec` names, with power.
 
     axes: those behind x and y; ConfigError for a robot that has others.
@@ -158,4 +158,5 @@ def open_robot(spec: str, axes: Sequence[AxisName] = ()) -> Robot:
     except ConfigError:
         robot.close()
         raise
+    set_up_axes(robot.more, axes, limits=True)
     return robot

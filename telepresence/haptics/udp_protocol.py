@@ -13,12 +13,13 @@ from math import isfinite, isnan
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ProtocolError
+from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.metrics import metrics_of
+from telepresence.haptics.axes import MOST_MORE_AXES, AxisCapabilities, AxisKind
 from telepresence.haptics.haptic_metrics import UdpMetrics
 
 VERSION = 1
-#: More axes are refused for now.
+#: Of each device: x and y. A welcome says how many a controller has.
 AXES = 2
 KEY_OCTETS = 32
 #: The key of controllers on this machine that have none: the code is a checksum then.
@@ -28,12 +29,17 @@ CODE_OCTETS = 16
 #: A name or a text of an error has at most this many octets of UTF-8.
 TEXT_OCTETS = 80
 #: No datagram is longer.
-LONGEST_OCTETS = 200
+LONGEST_OCTETS = 400
 
 _HEAD = struct.Struct(">BBBB")
 _CAPABILITIES = struct.Struct(f">5fBB{AXES}f")
-_COMMAND = struct.Struct(f">QHH{3 * AXES}f")
-_READING = struct.Struct(f">QQHHf{3 * AXES}f")
+#: Of an axis behind x and y: half its range, force, speed, kind, and its name, padded with zeros.
+_AXIS = struct.Struct(">3fB11s")
+_KINDS: dict[int, AxisKind] = {1: "linear", 2: "rotary"}
+_MOST_AXES = AXES + MOST_MORE_AXES
+#: By the number of axes.
+_COMMANDS = [struct.Struct(f">QHH{3 * axes}f") for axes in range(_MOST_AXES + 1)]
+_READINGS = [struct.Struct(f">QQHHf{3 * axes}f") for axes in range(_MOST_AXES + 1)]
 #: Larger limits of a device are no limits.
 _MOST = 1000.0
 
@@ -71,7 +77,8 @@ class UdpCapabilities(NamedTuple):
 
     takes_positions: a robot takes places and velocities, not forces.
     speed_m_s: of a robot. The three after it, buttons and leds: of a joystick.
-    half_m: per axis, from the middle of the workspace to its edge.
+    half_m: along x and y, from the middle of the workspace to its edge; 0: it has no such axis.
+    more: the axes behind x and y.
     """
 
     name: str
@@ -84,6 +91,7 @@ class UdpCapabilities(NamedTuple):
     buttons: int
     leds: int
     half_m: tuple[float, ...]
+    more: tuple[AxisCapabilities, ...] = ()
 
 
 class UdpReading(NamedTuple):
@@ -92,7 +100,7 @@ class UdpReading(NamedTuple):
     number: of this reading in its session. answers: the newest command that it has heard.
     error: a number, 0 for none, and its text.
     temperature_c: None without a sensor.
-    axes: place (m), velocity (m/s) and force (N) of each axis, one after the other.
+    axes: place, velocity and force of each axis, one after the other: m and N, or rad and N m.
     """
 
     number: int
@@ -145,20 +153,43 @@ def parse_welcome(datagram: bytes, nonce: bytes) -> tuple[bytes, UdpCapabilities
 
     nonce: of the newest. datagram: is authentic. Raises ProtocolError, with the reason.
     """
-    takes_positions = _detail(datagram, UdpKind.WELCOME)
+    count, takes_positions = _detail(datagram, UdpKind.WELCOME)
     body = datagram[_HEAD.size : -CODE_OCTETS]
-    text = body[2 * NONCE_OCTETS + _CAPABILITIES.size :]
-    if len(body) < 2 * NONCE_OCTETS + _CAPABILITIES.size or takes_positions > 1:
+    known = 2 * NONCE_OCTETS + _CAPABILITIES.size
+    end = known + (count - AXES) * _AXIS.size
+    text = body[end:]
+    if len(body) < end or takes_positions > 1:
         raise ProtocolError("a welcome of another form")
     if body[:NONCE_OCTETS] != nonce:
         return None
     limits = _CAPABILITIES.unpack_from(body, 2 * NONCE_OCTETS)
     half_m = limits[7:]
     # Compared this way round, so that NaN is refused, too.
-    if not (all(0.0 <= one < _MOST for one in limits) and all(half_m) and max(limits[5:7]) <= 16):
+    there = all(half_m) or count > AXES
+    if not (all(0.0 <= one < _MOST for one in limits) and there and max(limits[5:7]) <= 16):
         raise ProtocolError("facts that no device has")
-    capabilities = UdpCapabilities._make((_text(text), bool(takes_positions), *limits[:7], half_m))
+    more = tuple(map(_axis, _AXIS.iter_unpack(body[known:end])))
+    if len({axis.name for axis in more}) < len(more):
+        raise ProtocolError("two axes of one name")
+    capabilities = UdpCapabilities._make(
+        (_text(text), bool(takes_positions), *limits[:7], half_m, more)
+    )
     return body[NONCE_OCTETS : 2 * NONCE_OCTETS], capabilities
+
+
+def _axis(values: tuple[float, float, float, int, bytes]) -> AxisCapabilities:
+    half_range, force_limit, speed, kind, name = values
+    text = name.rstrip(b"\0").decode("ascii", "replace")
+    try:
+        return AxisCapabilities(
+            name=text,
+            half_range=half_range,
+            force_limit=force_limit,
+            speed=speed,
+            kind=_KINDS.get(kind),
+        )
+    except ConfigError as error:
+        raise ProtocolError(f"an axis that cannot be: {error}") from None
 
 
 def pack_command(number: int, detail: int, leds: int, axes: tuple[float, ...], key: bytes) -> bytes:
@@ -167,7 +198,8 @@ def pack_command(number: int, detail: int, leds: int, axes: tuple[float, ...], k
     detail: `WantedState` of a robot, `JoystickState` of a joystick. leds: of a joystick, as a mask.
     axes: force (N), place (m) and velocity (m/s) of each axis, one after the other.
     """
-    body = _HEAD.pack(VERSION, UdpKind.COMMAND, AXES, detail) + _COMMAND.pack(
+    count = len(axes) // 3
+    body = _HEAD.pack(VERSION, UdpKind.COMMAND, count, detail) + _COMMANDS[count].pack(
         number, leds, 0, *axes
     )
     return body + hmac.digest(key, body, "sha256")[:CODE_OCTETS]
@@ -175,11 +207,12 @@ def pack_command(number: int, detail: int, leds: int, axes: tuple[float, ...], k
 
 def parse_reading(datagram: bytes) -> UdpReading:
     """Return a reading. datagram: is authentic. Raises ProtocolError, with the reason."""
-    flags = _detail(datagram, UdpKind.READING)
+    count, flags = _detail(datagram, UdpKind.READING)
     body = datagram[_HEAD.size : -CODE_OCTETS]
-    if len(body) < _READING.size or flags > CONTACT | DEAD_MAN:
+    layout = _READINGS[count]
+    if len(body) < layout.size or flags > CONTACT | DEAD_MAN:
         raise ProtocolError("a reading of another form")
-    number, answers, buttons, error, temperature_c, *axes = _READING.unpack_from(body)
+    number, answers, buttons, error, temperature_c, *axes = layout.unpack_from(body)
     if not all(map(isfinite, axes)):
         raise ProtocolError("a measurement is not a number")
     return UdpReading(
@@ -189,21 +222,22 @@ def parse_reading(datagram: bytes) -> UdpReading:
         bool(flags & DEAD_MAN),
         buttons,
         error,
-        _text(body[_READING.size :]),
+        _text(body[layout.size :]),
         None if isnan(temperature_c) else temperature_c,
         tuple(axes),
     )
 
 
-def _detail(datagram: bytes, expected: UdpKind) -> int:
+def _detail(datagram: bytes, expected: UdpKind) -> tuple[int, int]:
+    """The number of axes, and the detail."""
     version, kind, axes, detail = _HEAD.unpack_from(datagram)
     if version != VERSION:
         raise ProtocolError(f"version {version} of the protocol, {VERSION} is due")
     if kind != expected:
         raise ProtocolError(f"a datagram of kind {kind}")
-    if axes != AXES:
-        raise ProtocolError(f"{axes} axes, {AXES} are due")
-    return int(detail)
+    if not AXES <= axes <= _MOST_AXES:
+        raise ProtocolError(f"{axes} axes: {AXES} to {_MOST_AXES} can be, x and y among them")
+    return int(axes), int(detail)
 
 
 def _text(octets: bytes) -> str:
@@ -317,6 +351,8 @@ class UdpSession:
             raise ProtocolError("a robot without a force or a speed")
         if self.capabilities not in (None, capabilities):
             raise ProtocolError("its facts have changed since this session began")
+        if self.capabilities is None:
+            self.axes = _AT_REST + (0.0,) * (3 * len(capabilities.more))
         self.capabilities = capabilities
         self._keys = session_keys(self._key, self._nonce, nonce)
         self._sent = self._newest = self._answered = 0
@@ -324,6 +360,8 @@ class UdpSession:
 
     def _take(self, reading: UdpReading) -> None:
         number, answers = reading[0], reading[1]
+        if len(reading.axes) != len(self.axes):
+            raise ProtocolError(f"{len(reading.axes) // 3} axes, {len(self.axes) // 3} are due")
         if number <= self._newest:
             self.udp_late += 1
             return

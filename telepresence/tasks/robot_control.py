@@ -7,11 +7,13 @@ told, for a short time. In telepresence the bilateral controller leads the robot
 switches the robot off; it stays off until it is reset and switched on again.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from math import hypot
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from telepresence.haptics.axes import MoreAxis
 from telepresence.haptics.robot import Robot
 from telepresence.tasks.definitions import MOVING_MODES, ControlMode
 
@@ -305,7 +307,7 @@ class RobotControl:
         width, height = limits.width_m, limits.height_m
         if not (-width <= robot.x_m <= width and -height <= robot.y_m <= height):
             return Fault.WORKSPACE
-        return _NONE
+        return _broken_by(robot.more) if robot.more else _NONE
 
     def _words(self, kind: Fault) -> str:
         limits = self.limits
@@ -317,3 +319,13 @@ class RobotControl:
 
 
 _NONE = Fault.NONE
+
+
+def _broken_by(axes: Sequence[MoreAxis]) -> Fault:
+    """Which limit an axis behind x and y breaks: twice its force or speed."""
+    for axis in axes:
+        if not abs(axis.push_n) <= 2.0 * axis.capabilities.force_limit / axis.lever_m:
+            return Fault.FORCE
+        if not abs(axis.speed_m_s) <= 2.0 * axis.capabilities.speed * axis.lever_m:
+            return Fault.SPEED
+    return _NONE

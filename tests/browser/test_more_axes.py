@@ -12,8 +12,7 @@ from pipelines.recording.recorded_messages import unpack_haptics
 
 SETUP = """
 cameras = ["static"]
-axes = 3
-gripper = true
+axes = ["x", "y", "z", "gripper"]
 [uplink_video]
 cap_kbps = 90
 [uplink]

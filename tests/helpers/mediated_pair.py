@@ -9,7 +9,6 @@ from telepresence.haptics.bilateral import HeldJoystick, JoystickSide, RobotSide
 from telepresence.haptics.board import Board, WallModel
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
-from telepresence.haptics.loop import joystick_link
 
 MS = 1_000_000
 
@@ -50,11 +49,6 @@ class MediatedPair:
     @property
     def rows(self) -> np.ndarray:
         return np.array(self._values).reshape(-1, 7)
-
-    def restart_joystick(self) -> None:
-        """Begin a new start of the joystick's side, with the handle where it is."""
-        link = joystick_link(boot_id=2)
-        self.space = JoystickSide(handle=self.handle, link=link, **self._feel)
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds * 1000)):

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.haptics.cell import MODES, Cell, read_cell
 from benchmarks.haptics.claims import claims, needed
 from benchmarks.haptics.hands import HANDS, BenchHand
-from benchmarks.haptics.haptics_metrics import STEP_N, CellMetrics, metrics, vectors
+from benchmarks.haptics.haptics_metrics import CellMetrics, metrics, vectors
 from benchmarks.haptics.run import run_cell
 from telepresence.haptics.hand import HandModel
 from telepresence.haptics.joystick_controller import JoystickController
@@ -55,13 +55,6 @@ def test_without_the_controllers_the_same_cell_makes_energy_and_swings(cell) -> 
     assert found.unstable
     assert needed([found]).holds
     assert found.least_uj < -100_000
-
-
-def test_a_run_repeats() -> None:
-    cell = Cell(delay=50.0, jitter=20.0, loss=10.0)
-    first, again = ran(cell, seed=3), ran(cell, seed=3)
-    assert first == again
-    assert ran(cell, seed=4) != first
 
 
 @pytest.mark.parametrize("wall", [1500.0, 5000.0])
@@ -117,13 +110,6 @@ def test_no_force_swings_on_at_any_hand(stiffness, damping, mass, cell, monkeypa
     check(ran(cell))
 
 
-@pytest.mark.parametrize(("hand", "delay"), [("arm-2kg", 20.0), ("push", 300.0), ("taps", 300.0)])
-def test_no_force_drops_suddenly(hand, delay) -> None:
-    found = ran(Cell(delay=delay, wall=1500.0, hand=hand))
-    assert found.step_n_ms <= STEP_N
-    check(found)
-
-
 def test_a_cut_force_returns_slowly() -> None:
     """A fast return would be cut again at once, a hundred times a second, and buzz."""
     joystick_side = JoystickController()
@@ -165,12 +151,6 @@ def test_a_restart_in_contact_keeps_the_plants_and_the_claims(mode, restart) -> 
         # It was 45 and 75 N/m of 600 when the damping did not follow the credit.
         ("last", 60, 1, "delay=300,wall=1500,hand=firm"),
         # The robot has no credit to move, and a tip that rests reveals no wall.
-        (
-            "restart",
-            95,
-            1,
-            "delay=8,wall=100,angle=-90,place=51,hand=reflex,restart=both,mode=auto",
-        ),
         (
             *("restart", 95, 1),
             "delay=104,wall=98,angle=-48,place=59,hand=loose,restart=both,mode=auto",

@@ -9,7 +9,6 @@ from mediated_pair import MediatedPair
 
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
-from telepresence.haptics.bilateral import RobotSide
 from telepresence.haptics.board import WALL_X_M
 from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, HandModel, Waypoint
@@ -112,20 +111,6 @@ def test_the_first_press_feels_the_wall_at_any_delay_without_drag(
     assert work_w.sum() / (speeds[free] ** 2).sum() < 8.5
 
 
-@pytest.mark.parametrize("round_trip_ms", [60, 300, 800])
-@pytest.mark.parametrize("grip", [FIRM_GRIP, PUSH_6_N], ids=["firm", "push"])
-def test_a_still_hand_has_its_wall_again_1_s_after_the_joystick_restarts(grip, round_trip_ms):
-    script = (PRESS[0], PRESS[1]._replace(stay_ns=60_000 * MS))
-    pair = MediatedPair(round_trip_ms, grip, residual=True, script=script)
-    pair.run(6)
-    pair.restart_joystick()
-    pair.run(1.1)
-    rows = pair.rows
-    assert -rows[-1, 1] > 0.8 * 600.0 * (rows[-1, 0] - WALL_X_M)
-    since = rows[6000:, 2] - rows[5999, 2]
-    assert since.max() <= RendererModel().start_j
-
-
 def largest_change_n(controller, courses):
     """Return by how much the force changes at most. courses: feedback and handle, each ms."""
     before, largest = (0.0, 0.0), 0.0
@@ -182,16 +167,6 @@ def test_motors_that_get_weaker_at_a_resting_handle_leave_no_force_beyond_their_
         assert hypot(*force) <= limit_n + 1e-9
         if ms == 799:
             assert hypot(*force) > 11.0
-
-
-def test_a_robot_that_starts_in_contact_finds_a_soft_wall_while_it_lets_go():
-    script = (PRESS[0], PRESS[1]._replace(stay_ns=60_000 * MS))
-    pair = MediatedPair(60, PUSH_6_N, residual=True, stiffness_n_m=78.0, script=script)
-    pair.run(6)
-    ground = RobotSide(robot=pair.ground.robot, mediated=True)
-    for ms in range(400):
-        ground.handle_cycle(ms * MS, MS)
-    assert ground.estimator.wall.stiffness_n_m == pytest.approx(78.0, rel=0.1)
 
 
 def test_a_robot_that_has_started_is_felt_once_not_twice():

@@ -19,6 +19,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import I420, empty_picture
+from pipelines.hand.haptic_trace import axis_columns, places_of
 from pipelines.recording.channels import RECEIVED, SENT
 from pipelines.recording.export.columns import Columns
 from pipelines.recording.export.films import FilmUnit, FilmUnits
@@ -36,7 +37,6 @@ from pipelines.recording.export.tables import (
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
 from pipelines.recording.recorded_messages import HAPTIC_SAMPLES, VIDEO
 from pipelines.recording.recording_file import Outputs
-from telepresence.haptics.axes import AXIS_NAMES
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -211,9 +211,9 @@ class _Hand:
         self._acted_s = acted_s[order]
         places: list[str] = [name for name in ("x_m", "y_m") if name in robot]
         forces: list[str] = [name for name in ("fx_n", "fy_n") if name in robot]
-        for axis in AXIS_NAMES:
-            places += [name for name in (f"{axis}_m", f"{axis}_rad") if name in robot]
-            forces += [name for name in (f"{axis}_n", f"{axis}_n_m") if name in robot]
+        for place in places_of(robot):
+            places.append(place)
+            forces.append(axis_columns(place)[1])
         self.names: dict[str, list[str]] = {
             STATE: list(dict.fromkeys(places)),
             FORCE: list(dict.fromkeys(forces)),

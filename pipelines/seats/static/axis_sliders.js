@@ -40,9 +40,9 @@ export class AxisSliders extends HTMLElement {
   show(axes) {
     const names = axes.map(({ name }) => name).join(" ");
     if (names !== this.#names) this.#build(names, axes);
-    axes.forEach(({ name, position, half_range, force }, axis) => {
+    axes.forEach(({ position, half_range, force, unit }, axis) => {
       const row = /** @type {Row} */ (this.#rows[axis]);
-      const rotates = ["roll", "pitch", "yaw"].includes(name);
+      const rotates = unit === "rad";
       const where = rotates ? `${((position * 180) / Math.PI).toFixed(0)}°` : `${(1000 * position).toFixed(1)} mm`;
       setText(row.value, `${where}, ${force.toFixed(rotates ? 2 : 1)} ${rotates ? "N m" : "N"}`);
       if (this.#control.axisTarget(axis) === null) row.input.value = String(position / half_range);

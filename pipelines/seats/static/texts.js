@@ -97,9 +97,9 @@
  */
 
 /**
- * An axis of the joystick behind x and y: m and N, of rotations rad and N m.
+ * An axis of the joystick behind x and y: m and N, or rad and N m. unit: of the position.
  * @typedef {{name: string, position: number, half_range: number, force: number, force_limit:
- *   number}} AxisText
+ *   number, unit: string}} AxisText
  */
 
 /**
@@ -263,13 +263,15 @@
  * for a new press. stopped: an emergency stop holds. stopped_by: who orders it; a joystick's order
  * stays after a release here. offset_mm: the robot's place less the hand's. holds: its hand holds
  * a ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
- * partner: of the partner's robot, "none", "absent", "ready" or "driven".
+ * axes: of each behind x and y its name, place and force of its surroundings: m and N, or rad and
+ * N m. partner: of the partner's robot, "none", "absent", "ready" or "driven".
  * @typedef {{kind: "robot", boot_id: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
  *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds: boolean,
- *   joints: [number, number][], partner: string, stopped_by: string}} RobotText
+ *   joints: [number, number][], partner: string, stopped_by: string, axes: [string, number,
+ *   number][]}} RobotText
  */
 
 /**

@@ -12,6 +12,7 @@ from kontur_av.errors import ConfigError, refused
 from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.setup.setup_text import SETUP_FILE, setup_table, setup_values
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from telepresence.haptics.axes import AXIS_NAMES
 from telepresence.link.radio.profile import BUILT_IN as RADIOS
 from telepresence.link.radio.profile import started
 from telepresence.link.radio.profile_file import load_radio
@@ -76,12 +77,23 @@ def setup_from_text(
 def _values_of(name: str | Mapping[str, Any]) -> Mapping[str, Any]:
     """The fields of `Setup`; the radio is still a name."""
     if isinstance(name, Mapping):
+        _refuse_counted_axes(name)
         return setup_values(typed(name, SETUP_FILE, "a setup"))
     if name in BUILT_IN:
         return {each.name: getattr(BUILT_IN[name], each.name) for each in fields(Setup)}
     table = table_of_setup(name)
     with refused(f"setup {name}", ConfigError):
         return _values_of(table)
+
+
+def _refuse_counted_axes(table: Mapping[str, Any]) -> None:
+    """Axes were a number and a gripper."""
+    count = table.get("axes", ())
+    if "gripper" in table or not isinstance(count, list | tuple):
+        more = AXIS_NAMES[: count - 2] if count in (3, 6) else ()
+        names = ["x", "y", *more, *(["gripper"] if table.get("gripper") else [])]
+        listed = ", ".join(f'"{each}"' for each in names)
+        raise ConfigError(f"axes are a list of names now, without gripper: axes = [{listed}]")
 
 
 def table_of_setup(name: str) -> Mapping[str, Any]:

@@ -113,8 +113,11 @@ def _written(thing: Any) -> Mapping[str, Any]:
             value = {"frame_octets": value.frame_octets}
         elif hasattr(value, "__dataclass_fields__"):
             value = _written(value)
-        elif key == "composed":
-            value = {name: _written(made) for name, made in value.items()}
+        elif isinstance(value, Mapping):
+            value = {
+                name: _written(each) if hasattr(each, "__dataclass_fields__") else each
+                for name, each in value.items()
+            }
         table[key] = value
     return table
 
@@ -137,6 +140,8 @@ def _lines(table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _toml(value: object) -> str:
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(_lines(value))}}}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml, value))}]"
     if isinstance(value, bool):

@@ -19,7 +19,7 @@ from kontur_av.streams.budget import Pacer
 from pipelines.session.setup.composition import STEREO, STEREO_PAIR, Composition
 from pipelines.session.setup.former_names import INPUTS
 from pipelines.session.setup.segments import Direction
-from telepresence.haptics.axes import AxisName, more_axes, sample_octets
+from telepresence.haptics.axes import AxisName, AxisSettings, more_axes, sample_octets
 from telepresence.haptics.envelope import SafetyLimits
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 from telepresence.haptics.sample import SAMPLE_OCTETS
@@ -248,9 +248,9 @@ class Setup:
         (docs/two-machines.md).
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
         joystick (docs/haptics-controllers.md).
-    axes, gripper: what the hand moves: x and y, with 3 also z, with 6 also three rotations; and a
-        gripper. Each axis makes the haptic samples longer, so the link's frames must be
-        (docs/haptics-sample.md).
+    axes: what the hand moves, of x, y, z, roll, pitch, yaw, gripper and up to three of the robot's
+        own. Each behind x and y makes the haptic samples longer, so the link's frames must be
+        (docs/haptics-sample.md). axis: what there is to say of one of these.
     rtc: the leg to a partner across the Internet; None: there is none.
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
@@ -284,8 +284,12 @@ class Setup:
     path: PathForm = "slots"
     path_batch_ms: int = 1
     hand: HandMode = "adaptive"
-    axes: int = 2
-    gripper: bool = False
+    axes: tuple[str, ...] = field(
+        default=("x", "y"), metadata={"like": 'a list of names, like ["x", "y", "z", "gripper"]'}
+    )
+    axis: Mapping[str, AxisSettings] = field(
+        default_factory=dict, metadata={"like": 'tables, like [axis.pan] with kind = "rotary"'}
+    )
     rtc: RtcLeg | None = None
     partner_arm: PartnerArm = "none"
     tasks: bool = False
@@ -366,7 +370,7 @@ class Setup:
     @cached_property
     def more_axes(self) -> tuple[AxisName, ...]:
         """The axes behind x and y."""
-        return more_axes(self.axes, self.gripper)
+        return more_axes(self.axes, self.axis)
 
     def _check_playback(self) -> None:
         for end, voice in (("ground", "downlink_voice"), ("space", "uplink_voice")):
@@ -397,12 +401,10 @@ class Setup:
         """Give both directions an insert zone for a sample of all axes."""
         if not self.more_axes:
             return
-        if self.deadband != "off":
-            raise ConfigError('deadband: it judges x and y only, so take "off" with more axes')
-        if self.partner_arm in ("shared", "board"):
+        if self.partner_arm == "board":
             raise ConfigError(
-                f"partner_arm {self.partner_arm}: a partner has x and y only, so take "
-                'partner_arm = "none" or "second" with more axes'
+                "partner_arm board: a partner's robot has x and y only, so take "
+                'partner_arm = "none", "shared" or "second" with more axes'
             )
         octets = sample_octets(len(self.more_axes))
         for name in ("uplink", "downlink"):
@@ -434,6 +436,8 @@ class Setup:
             raise ConfigError(
                 'partner_arm shared: tasks are the cosmonaut\'s, so take partner_arm = "none"'
             )
+        if self.partner_arm != "none" and {*self.axes}.isdisjoint(("x", "y")):
+            raise ConfigError("partner_arm: a partner's joystick has x and y: name them in axes")
         if self.partner_arm == "shared" and self.hand not in ("adaptive", "direct"):
             raise ConfigError(
                 "partner_arm shared: only the joystick in space renders walls, so take "

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from telepresence.haptics.axes import AxisName, AxisReading
+from telepresence.haptics.axes import AxisReading
 from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.device.stick import (
@@ -47,7 +47,7 @@ class FoundGamepad(NamedTuple):
     path: str
     name: str
     problem: str = ""
-    more: tuple[AxisName, ...] = ()
+    more: tuple[str, ...] = ()
 
 
 def find_gamepads(folder: Path = Path("/dev/input")) -> list[FoundGamepad]:
@@ -75,7 +75,7 @@ def find_gamepads(folder: Path = Path("/dev/input")) -> list[FoundGamepad]:
 
 
 def open_gamepad(
-    path: str = "", *, axes: Sequence[AxisName] = (), folder: Path = Path("/dev/input")
+    path: str = "", *, axes: Sequence[str] = (), folder: Path = Path("/dev/input")
 ) -> "GamepadDevice":
     """Open the controller at `path`, or the first one; ConfigError if there is none.
 
@@ -120,7 +120,7 @@ class GamepadDevice:
     axes: those behind x and y, as far as it has them.
     """
 
-    def __init__(self, device: Any, axes: Sequence[AxisName] = ()) -> None:
+    def __init__(self, device: Any, axes: Sequence[str] = ()) -> None:
         capabilities = device.capabilities(absinfo=True)
         self._device = device
         self._stick = Stick(

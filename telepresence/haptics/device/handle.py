@@ -7,7 +7,7 @@ from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.returned import fault_of
-from telepresence.haptics.axes import MoreAxes, MoreAxis
+from telepresence.haptics.axes import MoreAxes, MoreAxis, set_up_axes
 from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.simulated import SimulatedDevice
@@ -32,13 +32,20 @@ class OperatedHandle:
     stop, blind: the caller sets both. pressed: how often a button went down.
     robot_waits, robot_stopped: what the robot's newest sample says.
     command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
-    more: the axes behind x and y; their middle is where the device reads 0.
+    more: the axes behind x and y; their middle is where the device reads 0. axes: their names, with
+    what the setup says of them. plane: which of x and y there are; the others stay at 0.
 
     Its time is the sum of what `step` was told, so it runs on virtual time too.
     """
 
     def __init__(
-        self, device: JoystickDevice, *, limits: Limits | None = None, paused: str = ""
+        self,
+        device: JoystickDevice,
+        *,
+        limits: Limits | None = None,
+        paused: str = "",
+        axes: Sequence[str] = (),
+        plane: Sequence[str] = ("x", "y"),
     ) -> None:
         self.device = device
         self.operation = JoystickOperation(device, limits=limits, paused=paused)
@@ -51,6 +58,9 @@ class OperatedHandle:
         self.command_age_ms: int | None = None
         self.state = int(JoystickState.INIT)
         self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.capabilities.more]
+        set_up_axes(self.more, axes, limits=False)
+        #: None: both.
+        self._plane = None if {"x", "y"} <= {*plane} else ("x" in plane, "y" in plane)
         self._axes: MoreAxes | None = cast(MoreAxes, device) if self.more else None
         self._known = JoystickState.INIT
         self._placed = False
@@ -124,6 +134,9 @@ class OperatedHandle:
             self._known, self.state, self._placed = state, int(state), state in _PLACED
         if self._placed:
             self.x_m, self.y_m = reading[0], reading[1]
+            if self._plane is not None:
+                self.x_m *= self._plane[0]
+                self.y_m *= self._plane[1]
         if reading[4] & ~self.buttons:
             self.pressed += 1
         # The button that a test asks for does not count for the robot or the panel.

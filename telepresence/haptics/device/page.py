@@ -11,7 +11,6 @@ from math import hypot
 from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from telepresence.haptics.axes import AxisName
 from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.simulated import CAPABILITIES as SIMULATED_CAPABILITIES
 from telepresence.haptics.device.simulated import START_M, Mechanics
@@ -94,7 +93,7 @@ class PageDevice(Mechanics):
         self,
         *,
         start_m: tuple[float, float] = START_M,
-        axes: Sequence[AxisName] = (),
+        axes: Sequence[str] = (),
     ) -> None:
         super().__init__(start_m=start_m, axes=axes)
         #: Where the page wants the axes behind x and y, in shares of their half ranges.

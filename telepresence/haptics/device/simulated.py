@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.haptics.axes import AxisName, AxisReading, built_in_axes
+from telepresence.haptics.axes import AxisReading, built_in_axes
 from telepresence.haptics.device.device import KEEPS_FORCE_NS, JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import Hand
@@ -70,7 +70,7 @@ FAULTS: Mapping[str, Faults] = MappingProxyType(
 
 
 def open_simulated(
-    fault: str = "", *, hand: Hand | None = None, axes: Sequence[AxisName] = ()
+    fault: str = "", *, hand: Hand | None = None, axes: Sequence[str] = ()
 ) -> "SimulatedDevice":
     """Return the simulated joystick, broken by a fault of `FAULTS` if one is named; ConfigError."""
     if fault and fault not in FAULTS:
@@ -137,7 +137,7 @@ class Mechanics:
         model: JoystickModel = _MODEL,
         *,
         start_m: tuple[float, float] = START_M,
-        axes: Sequence[AxisName] = (),
+        axes: Sequence[str] = (),
     ) -> None:
         self._axes = built_in_axes(axes, meets=False)
         self.capabilities = replace(
@@ -238,7 +238,7 @@ class SimulatedDevice(Mechanics):
         *,
         hand: Hand | None = None,
         start_m: tuple[float, float] = START_M,
-        axes: Sequence[AxisName] = (),
+        axes: Sequence[str] = (),
     ) -> None:
         self.hand = hand
         faults = faults or Faults()

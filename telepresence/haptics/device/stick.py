@@ -14,10 +14,9 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.axes import (
     AXIS_NAMES,
-    BUILT_IN_AXES,
     AxisCapabilities,
-    AxisName,
     AxisReading,
+    built_in_axis,
 )
 from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 
@@ -78,9 +77,9 @@ class _Lead(NamedTuple):
     stays: bool = False
 
 
-def _leads(axes: Collection[int], keys: Collection[int]) -> dict[AxisName, _Lead]:
+def _leads(axes: Collection[int], keys: Collection[int]) -> dict[str, _Lead]:
     """Return what leads each further axis that a controller with these axes and keys has."""
-    leads: dict[AxisName, _Lead] = {
+    leads: dict[str, _Lead] = {
         "roll": _Lead(_ABS_HAT0X, stays=True),
         "pitch": _Lead(_ABS_HAT0Y, -1.0, stays=True),
     }
@@ -102,7 +101,7 @@ def _leads(axes: Collection[int], keys: Collection[int]) -> dict[AxisName, _Lead
     return known
 
 
-def stick_axes(axes: Collection[int], keys: Collection[int]) -> tuple[AxisName, ...]:
+def stick_axes(axes: Collection[int], keys: Collection[int]) -> tuple[str, ...]:
     """Return the axes behind x and y of a controller with these axes and keys."""
     known = _leads(axes, keys)
     return tuple(name for name in AXIS_NAMES if name in known)
@@ -171,14 +170,18 @@ class Stick:
         keys: frozenset[int],
         *,
         rumble: bool = False,
-        more: Sequence[AxisName] = (),
+        more: Sequence[str] = (),
     ) -> None:
         buttons = _PAD_BUTTONS if _PAD_BUTTONS[0] in keys else _STICK_BUTTONS
         self._dead_man_code = dead_man_of(keys)
         kept = [code for code in buttons if code in keys and code != self._dead_man_code]
         self._bits = {code: 1 << index for index, code in enumerate(kept)}
         leads = _leads(axes, keys)
-        self._more = [_LedAxis(BUILT_IN_AXES[one], leads[one]) for one in more if one in leads]
+        # A robot's own axes get the leads that no other has.
+        free = [name for name in ("yaw", "z", "roll", "pitch") if name in {*leads} - {*more}]
+        own = [name for name in more if name not in AXIS_NAMES]
+        leads |= {name: leads[other] for name, other in zip(own, free, strict=False)}
+        self._more = [_LedAxis(built_in_axis(one), leads[one]) for one in more if one in leads]
         self.capabilities = JoystickCapabilities(
             name=name,
             half_width_m=HALF_WIDTH_M,

@@ -432,7 +432,7 @@ def test_the_command_checks_the_axes_of_a_setup_and_says_what_is_wrong(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.toml").write_text(
-        'cameras = ["static"]\naxes = 3\n[uplink_video]\ncap_kbps = 90\n'
+        'cameras = ["static"]\naxes = ["x", "y", "z"]\n[uplink_video]\ncap_kbps = 90\n'
         "[uplink]\nframe_octets = 48\n"
     )
     monkeypatch.syspath_prepend(SAMPLES)

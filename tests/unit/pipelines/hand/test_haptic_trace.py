@@ -33,12 +33,12 @@ def test_rows_are_read_back_as_they_were_with_axes_by_name():
     received = [2 * (k // 3) if k and k % 3 == 0 else -1 for k in range(haptic_trace.BLOCK_ROWS)]
     told = [(*row, one, other) for row, one, other in zip(rows[:-1], sent, received, strict=True)]
     assert found.tobytes() == np.array(told, haptic_trace.ROW).tobytes()
-    trace = haptic_trace.HapticTrace(("z", "gripper"))
+    trace = haptic_trace.HapticTrace(("z_m", "pan_rad"))
     trace.handle_watched(True)
     for k in range(haptic_trace.BLOCK_ROWS + 1):
         trace.add((k, 0.1, 0.2, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.25, 0.5, 0.75, *[k] * 3))
     found = haptic_trace.rows_of(trace.poll_block())
-    assert [found[name][3] for name in ("z_m", "z_n", "z_uj", "gripper_m")] == [0.25, 0.5, 0.75, 3]
+    assert [found[name][3] for name in ("z_m", "z_n", "z_uj", "pan_rad")] == [0.25, 0.5, 0.75, 3]
 
 
 def test_nothing_is_collected_without_a_reader_and_readers_are_looked_for_ten_times_a_second():

@@ -84,11 +84,11 @@ def test_rows_of_the_trace_become_samples_and_a_unit_has_facts():
     assert samples["sequence"].tolist() == [NO_SAMPLE] * 3
     assert all((samples[name] == rows[name]).all() for name in ROW.names[:-2])
     assert haptic_samples(rows, np.array([7, 8, -1], np.int32))["sequence"].tolist() == [7, 8, -1]
-    rows = np.zeros(3, row_type(["z", "roll"]))
-    rows["z_m"], rows["roll_n_m"] = (0.0, 0.5, 0.0), (0.25, 0.0, -0.25)
+    rows = np.zeros(3, row_type(["z_m", "pan_rad"]))
+    rows["z_m"], rows["pan_n_m"] = (0.0, 0.5, 0.0), (0.25, 0.0, -0.25)
     samples = unpack_haptics(pack_haptics(haptic_samples(rows)))
     assert samples["z_m"].tolist() == [0.0, 0.5, 0.0]
-    assert samples["roll_n_m"].tolist() == [0.25, 0.0, -0.25]
+    assert samples["pan_n_m"].tolist() == [0.25, 0.0, -0.25]
     assert "gripper_m" not in samples.dtype.names
     unit = CodedUnit(data=b"12345", key=True, damaged=True, width=64, height=48)
     metadata = UnitMetadata.of(unit, CaptureStamp(9, 1, "uplink_video", Quality.DAMAGED))

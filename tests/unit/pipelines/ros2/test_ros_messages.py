@@ -37,7 +37,7 @@ def test_texts_pictures_hashes_and_diagnostics_are_those_of_ros_2():
 
 
 def rows():
-    found = np.zeros(2, row_type(("z", "roll", "pitch", "yaw", "gripper")))
+    found = np.zeros(2, row_type(("z_m", "roll_rad", "pitch_rad", "yaw_rad", "gripper_m")))
     found["time_ns"] = 0, 20_000_000
     found["x_m"], found["y_m"], found["z_m"] = (0.0, 0.01), 0.02, 0.03
     found["yaw_rad"], found["fx_n"], found["yaw_n_m"] = np.pi / 2, 4.0, 0.5

@@ -12,6 +12,7 @@ from telepresence.haptics.axes import (
     AXIS_OCTETS,
     MOST_AXIS_ENERGY_UJ,
     AxisCapabilities,
+    AxisSettings,
     check_axes,
     pack_axes,
     read_axes,
@@ -54,14 +55,35 @@ def test_a_setup_says_what_more_axes_cost():
     with pytest.raises(
         ConfigError, match=r"17 octets of each frame, 136 kbit/s in place of 96.*39"
     ):
-        replace(TASKBOARD, axes=3)
-    with pytest.raises(ConfigError, match="take 2, 3 or 6"):
-        replace(TASKBOARD, axes=4)
-    wide = replace(UPLINK, frame_octets=60, pointer_in_vcid=False)
-    setup = replace(TASKBOARD, axes=6, gripper=True, uplink=wide)
+        replace(TASKBOARD, axes=("x", "y", "z"))
+    names = ("x", "y", "roll", "z", "yaw", "pitch", "gripper")
+    setup = replace(TASKBOARD, axes=names, uplink=WIDE)
+    assert setup.more_axes == names[2:]
     octets = SAMPLE_OCTETS + 5 * AXIS_OCTETS
     assert (setup.uplink.insert_octets, setup.downlink.insert_octets) == (octets, octets)
     assert TASKBOARD.uplink.insert_octets == SAMPLE_OCTETS
-    for change in ({"deadband": "picture"}, {"partner_arm": "shared"}):
-        with pytest.raises(ConfigError, match="x and y only"):
-            replace(setup, **change)
+    with pytest.raises(ConfigError, match="x and y only"):
+        replace(setup, partner_arm="board")
+
+
+WIDE = replace(UPLINK, frame_octets=60, pointer_in_vcid=False)
+PAN = AxisSettings(kind="rotary", mode="rate", scale=2.0)
+
+
+@pytest.mark.parametrize(
+    ("axes", "settings", "words"),
+    [
+        (("x", "pan"), {}, r'\[axis.pan\] kind = "rotary"'),
+        (("x", "Pan"), {}, "lower-case"),
+        (("x", "x"), {}, "named twice"),
+        ((), {}, "is empty"),
+        (("pan",), {"tilt": PAN}, "axes does not name it"),
+        (("x",), {"x": PAN}, "safety has the limits"),
+        (("z",), {"z": PAN}, "axis z is linear"),
+        (("pan",), {"pan": replace(PAN, speed=0.0)}, "take more than 0"),
+        (("aa", "bb", "cc", "dd"), dict.fromkeys(("aa", "bb", "cc", "dd"), PAN), "at most 3"),
+    ],
+)
+def test_axes_that_cannot_be_are_refused_with_the_fix(axes, settings, words):
+    with pytest.raises(ConfigError, match=words):
+        replace(TASKBOARD, axes=axes, axis=settings, uplink=WIDE)

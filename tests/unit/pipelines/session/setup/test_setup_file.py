@@ -22,8 +22,7 @@ repair = "idle"
 path = "compact"
 path_batch_ms = 2
 hand = "mediated"
-axes = 2
-gripper = false
+axes = ["x", "pan"]
 partner_arm = "second"
 tasks = true
 recorded_cameras = "all"
@@ -71,6 +70,12 @@ taken_kbps = 700
 
 [uplink]
 frame_octets = 40
+
+[axis.pan]
+kind = "rotary"
+mode = "rate"
+scale = -2.0
+speed = 0.5
 
 [downlink]
 frame_octets = 250
@@ -123,7 +128,7 @@ def test_every_field_of_a_file_reaches_the_setup_and_without_a_name_it_takes_the
         assert f"{entry.name}" in EVERY_FIELD, f"{entry.name} is not in the file of this test"
     for name, value in (tomllib.loads(EVERY_FIELD) | TABLES).items():
         if name in TABLES or not isinstance(value, dict):
-            assert getattr(setup, name) == value
+            assert getattr(setup, name) == (tuple(value) if isinstance(value, list) else value)
     assert {one.name: asdict(one) for one in setup.streams} == {
         name: {"name": name, **values} for name, values in STREAMS.items()
     }
