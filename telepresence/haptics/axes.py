@@ -93,11 +93,6 @@ class AxisName(str):
                 raise ConfigError(f"axis.{name}.{field.name} is {value:g}: take more than 0")
         return self
 
-    @property
-    def lever_m(self) -> float:
-        """What turns its unit into m (1 for m, `LEVER_M` for rad)."""
-        return LEVER_M if self.kind == "rotary" else 1.0
-
 
 def more_axes(axes: Sequence[str], settings: Mapping[str, AxisSettings]) -> tuple[AxisName, ...]:
     """Return the axes behind x and y of a setup, in its order. ConfigError."""
@@ -146,6 +141,7 @@ class AxisCapabilities:
 
     @property
     def lever_m(self) -> float:
+        """What turns its unit into m."""
         return LEVER_M if self.kind == "rotary" else 1.0
 
     @property

@@ -192,7 +192,7 @@ class WallRenderer:
     def too_deep_m(self, x_m: float, y_m: float, most_n: float) -> tuple[float, float]:
         """Return the way (m, m) out of the newest wall to where a robot presses with `most_n`."""
         goal = self._goal
-        if goal is None:
+        if goal is None or self._age_ns > self.model.old_ns:
             return 0.0, 0.0
         way_m = max(0.0, goal.depth_m(x_m, y_m) - most_n / self._series(goal))
         nx, ny = goal.inward
