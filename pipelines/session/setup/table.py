@@ -422,11 +422,6 @@ class Setup:
         """Give both directions an insert zone for a sample of all axes."""
         if not self.more_axes:
             return
-        if self.partner_arm == "board":
-            raise ConfigError(
-                "partner_arm board: a partner's robot has x and y only, so take "
-                'partner_arm = "none", "shared" or "second" with more axes'
-            )
         octets = sample_octets(len(self.more_axes))
         for name in ("uplink", "downlink"):
             profile: LinkProfile = getattr(self, name)
