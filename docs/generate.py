@@ -14,8 +14,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import griffe
@@ -283,39 +282,82 @@ def run_table() -> str:
 def commands_text() -> str:
     """What several commands' options mean, then every command with those of its own.
 
-    The options of benches are left to `--help`.
+    What only the subcommands of one command share stands there. The options of benches are left to
+    `--help`.
     """
-    commands = list(_commands(make_parser(), "kontur-av"))
-    rows = {name: _rows(one) for name, one in commands if not name.startswith("kontur-av bench ")}
-    counts = Counter(row for of in rows.values() for row in of)
-    # By option: its most frequent meaning, if at least two commands have it.
-    shared: dict[str, tuple[str, str]] = {}
-    for row, count in counts.most_common():
-        if count >= 2 and row[1]:
-            shared.setdefault(_option(row), row)
+    commands = [
+        (name.removeprefix("kontur-av "), parser)
+        for name, parser in _commands(make_parser(), "kontur-av")
+        if not name.startswith("kontur-av bench ")
+    ]
+    rows = {name: _rows(parser) for name, parser in commands}
+    everywhere = _shared({name: name.split()[0] for name in rows}, rows)
     parts = ["## Options of several commands\n"]
-    listed = {_option(row): row for row in counts if row == shared.get(_option(row))}
-    parts += [f"- {option}: {told}" for option, told in listed.values()]
+    parts += [f"- {option}: {told}" for option, told in everywhere]
+    shared = everywhere
     for name, parser in commands:
         told = _sentence(parser.description)
-        mine = rows.get(name, [])
-        alike = [row for row in mine if row in listed.values()]
-        own = [
-            option + f": {what}" * bool(what)
-            for option, what in mine
-            if (option, what) not in alike
-        ]
-        also = [f"`{_option(row)}`" for row in alike]
-        if len(name.split()) > 2 and len(mine) <= 3:
-            # Few options: one item.
-            parts += [""] * (not parts[-1].startswith("- "))
-            parts.append(f"- `{name}`: {told}" + f" {'; '.join([*own, *also])}" * bool(mine))
+        if " " in name:
+            own, also = _own_and_shared(rows[name], shared)
+            parts.append(f"- `{name}`: {told} {'; '.join([*own, *also])}".rstrip())
             continue
-        parts.append(f"\n{'#' * len(name.split())} `{name}`\n\n{told}")
-        parts += [""] * bool(mine)
+        below = {of: of for of in rows if of.startswith(f"{name} ")}
+        here = [row for row in _shared(below, rows) if row not in everywhere]
+        shared = [*everywhere, *here]
+        own, also = _own_and_shared(rows[name], everywhere)
+        parts.append(f"\n## `kontur-av {name}`\n\n{told}")
+        parts += [""] * bool(rows[name] or below)
         parts += [f"- {one}" for one in own]
         parts += ["- " + "and " * bool(own) + ", ".join(also)] * bool(also)
+        parts += ["- of several: " + "; ".join(map(_told, here))] * bool(here)
     return "\n".join(parts) + "\n"
+
+
+def _shared(
+    homes: Mapping[str, str], rows: Mapping[str, list[tuple[str, str]]]
+) -> list[tuple[str, str]]:
+    """By option its most frequent meaning, if commands of at least two homes have it."""
+    having: dict[tuple[str, str], set[str]] = {}
+    for name, home in homes.items():
+        for row in rows[name]:
+            having.setdefault(row, set()).add(home)
+    found: dict[str, tuple[str, str]] = {}
+    for row in sorted(having, key=lambda row: -len(having[row])):
+        if len(having[row]) >= 2 and row[1]:
+            found.setdefault(_option(row), row)
+    return [row for row in having if row in found.values()]
+
+
+def _told(row: tuple[str, str]) -> str:
+    option, what = row
+    return option + f": {what}" * bool(what)
+
+
+def _own_and_shared(
+    rows: list[tuple[str, str]], shared: list[tuple[str, str]]
+) -> tuple[list[str], list[str]]:
+    own = [row for row in rows if row not in shared]
+    times = [row for row in own if row[1].startswith("virtual time to ")]
+    told = [_told(row) for row in own if row not in times]
+    if times:
+        said = ", ".join(f"`{_option(row)}`" for row in times)
+        told.append(f"{said}: what this takes of virtual time")
+    return told, _in_runs([shared.index(row) for row in rows if row in shared], shared)
+
+
+def _in_runs(places: list[int], order: list[tuple[str, str]]) -> list[str]:
+    """The options at these places of the list above; of three that follow each other the ends."""
+    runs: list[list[int]] = []
+    for at in sorted(places):
+        if runs and runs[-1][-1] == at - 1:
+            runs[-1].append(at)
+        else:
+            runs.append([at])
+    told = []
+    for run in runs:
+        names = [f"`{_option(order[at])}`" for at in run]
+        told += [f"{names[0]} to {names[-1]}"] if len(names) > 2 else names
+    return told
 
 
 def _option(row: tuple[str, str]) -> str:

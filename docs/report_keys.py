@@ -1,14 +1,10 @@
 """The tables of a report's keys for the documents, made from the types and their comments."""
 
-import dataclasses
 import inspect
 import itertools
-import re
 import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
-
-import msgspec
 
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.streams.paced_sender import SenderCounts
@@ -31,6 +27,7 @@ from pipelines.packets.bridge import FrameMetrics, PacketsMetrics
 from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
 from pipelines.report.model import keys_of
+from pipelines.report.schema import comments, is_record
 from pipelines.seats.page_metrics import PageMetrics
 from pipelines.session.session_metrics import (
     LoopMetrics,
@@ -132,25 +129,6 @@ def _summary(kind: type) -> str:
     return (inspect.getdoc(kind) or "").splitlines()[0]
 
 
-def comments(kind: type) -> dict[str, str]:
-    """By field: the `#:` comment above it, those of base classes included."""
-    found: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        if not _is_record(base):
-            continue
-        above: list[str] = []
-        for line in inspect.getsource(base).splitlines():
-            text = line.strip()
-            if text.startswith("#: "):
-                above.append(text.removeprefix("#: "))
-            elif match := re.match(r"(\w+): ", text):
-                found[match[1]] = " ".join(above)
-                above = []
-            else:
-                above = []
-    return found
-
-
 def _rows(kind: type, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Each key with its type, unless it is an integer, and its sentence; `?`: may be absent.
 
@@ -198,13 +176,7 @@ def _types_below(kind: type) -> list[type]:
 
 
 def _records(hint: object) -> Iterator[type]:
-    if isinstance(hint, type) and _is_record(hint):
+    if isinstance(hint, type) and is_record(hint):
         yield hint
     for argument in typing.get_args(hint):
         yield from _records(argument)
-
-
-def _is_record(kind: type) -> bool:
-    return dataclasses.is_dataclass(kind) or (
-        issubclass(kind, msgspec.Struct) and kind is not msgspec.Struct
-    )
