@@ -18,14 +18,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import griffe
-from report_keys import counts_table, keys_tables
+from report_keys import counts, report_keys
 
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_of
 from pipelines.recording.recorded_messages import SCHEMAS
 from pipelines.recording.schemas import MessageSchema
-from pipelines.report.model import LinkReport, SessionReport
-from pipelines.report.result import Headline
 from pipelines.session.setup.segments import Direction
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.topology import tables
@@ -107,10 +105,6 @@ Of a class with more than six methods this page has their names. What they do, a
 shapes and errors are in the docstrings:
 `python -c "import kontur_av; help(kontur_av.PictureSender)"`.
 """
-#: Keys whose unit says that their value is a number.
-NUMBERS = re.compile(
-    r"(`(?:p[\d.]+|max|mean|\w+_(?:ms|s|us|mm|km|deg|n|c|percent))`\??) \(number\)"
-)
 #: Of a class with more methods the page has their names only.
 MOST_METHODS = 6
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
@@ -457,62 +451,9 @@ def topology_blocks() -> dict[str, str]:
         "channels": _markdown(channels),
         "recorded channels": _markdown(joined(recorded_channels(session))),
         "recorded fields": recorded_fields(),
-        **told_once(
-            {
-                "report": keys_tables(SessionReport),
-                "counts": counts_table(),
-                "link report": keys_tables(LinkReport, without=SessionReport),
-                "headlines": keys_tables(Headline),
-            }
-        ),
+        "report": report_keys(),
+        "counts": counts(),
     }
-
-
-def told_once(blocks: dict[str, str]) -> dict[str, str]:
-    """The lists of these blocks, with runs of three items or more in their first place only.
-
-    A later place names their first and last key, and the list that has them.
-    """
-    before: list[tuple[str, list[str]]] = []
-    for name, block in blocks.items():
-        parts = []
-        for part in block.strip().split("\n\n**"):
-            title, *items = NUMBERS.sub(r"\1", part).split("\n- ")
-            listed = title.strip("*\n ").partition("**")[0].rstrip(".")
-            kept = list(_without_runs(items, listed, before))
-            if not (name == "counts" and len(kept) == 1 and ": as in " in kept[0]):
-                parts.append("\n- ".join([title, *kept]))
-        blocks[name] = "\n\n**".join(parts) + "\n"
-    return blocks
-
-
-def _without_runs(
-    items: list[str], title: str, before: list[tuple[str, list[str]]]
-) -> Iterator[str]:
-    """The items, runs of those that were in `before` named only. Adds new ones to `before`."""
-    fresh: list[str] = []
-    before.append((title, fresh))
-    while items:
-        plain = [item.replace("`STREAM.", "`", 1) for item in items]
-        length, where = max(
-            ((_alike(plain, had[at:]), of) for of, had in before for at in range(len(had))),
-            key=lambda found: found[0],
-            default=(0, ""),
-        )
-        if length >= 3:
-            first, last = (items[at].partition(":")[0].split()[0] for at in (0, length - 1))
-            yield f"{first} … {last}: as " + (f"in {where}" if where != title else "above")
-        else:
-            length = 1
-            fresh.append(plain[0])
-            yield items[0]
-        items = items[length:]
-
-
-def _alike(items: list[str], others: list[str]) -> int:
-    """How many items are the same from the first on."""
-    pairs = list(zip(items, others, strict=False))
-    return next((at for at, (one, other) in enumerate(pairs) if one != other), len(pairs))
 
 
 def joined(table: tables.Table) -> tables.Table:
