@@ -35,6 +35,8 @@ MODULES = ("media", "codecs", "rtp", "sources", "streams", "topics", "clock")
 PACKAGES = ("kontur_av", *(f"kontur_av.{name}" for name in MODULES), "telepresence", "pipelines")
 HEAD = """# The Python interface
 
+For whoever writes a program: which names may it use, and what are they for?
+
 <!-- Written by docs/generate.py from the docstrings: change those, not this page. -->
 
 ## Recipes
@@ -98,15 +100,11 @@ with ka.SoundSender("localhost:5006", cap_bps=64_000) as end:
 ## Reference
 
 Import these names from the modules that stand above them. All else is the project's own and may
-change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`. `samples/` has
-short scripts that use these names.
+change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
 
-Of a class with more than six methods this page has their names. What they do, and types, units,
-shapes and errors are in the docstrings:
-`python -c "import kontur_av; help(kontur_av.PictureSender)"`.
+Classes are bold, and have their methods behind them. Types, units, shapes and errors are in the
+docstrings: `python -c "import kontur_av; help(kontur_av.PictureSender)"`.
 """
-#: Of a class with more methods the page has their names only.
-MOST_METHODS = 6
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 
@@ -122,8 +120,7 @@ def python_page() -> str:
         names = sorted({*exported(module)} - before, key=lambda name: (name.lower(), name))
         before.update(names)
         parts.append(f"## `{package}`\n\n{module.docstring.value}\n")
-        told: dict[str, str] = {}
-        parts += [entry(module[name], told) for name in names]
+        parts.append("\n".join(entry(module[name]) for name in names) + "\n")
     return "\n".join(parts)
 
 
@@ -131,63 +128,22 @@ def exported(module: griffe.Object | griffe.Alias) -> list[str]:
     return [str(name).strip("'\"") for name in module.exports or ()]
 
 
-def anchor(name: str) -> str:
-    """The fragment that GitHub makes of a heading."""
-    return re.sub(r"[^\w -]", "", name.lower()).replace(" ", "-")
-
-
-def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
-    """One exported name: its signature, its docstring, and its public methods.
-
-    told: by line, the class that has it already; lines of this class are added.
-    """
+def entry(member: griffe.Object | griffe.Alias) -> str:
+    """One exported name: how it is called, the first sentence of its docstring, its methods."""
     if member.is_attribute:
-        code = f"{member.name} = {member.value}".replace("'", '"')
-        return f"### {member.name}\n\n```python\n{code}\n```\n\n{paragraph(member)}\n"
-    lines = [f"### {member.name}\n\n```python"]
+        value = " ".join(str(member.value).split()).replace("'", '"')
+        return f"- `{member.name} = {value}`" if len(value) <= 60 else f"- `{member.name}`"
+    if member.is_alias and member.target.name != member.name:
+        return f"- `{member.name}`: the former name of `{member.target.name}`"
     if member.is_function:
-        lines += [signature(member), "```\n", paragraph(member), ""]
-        return "\n".join(lines)
-    bases = ", ".join(str(base) for base in member.bases)
-    lines.append(f"class {member.name}({bases}):" if bases else f"class {member.name}:")
+        return f"- `{member.name}{names(member)}`: {sentence(member)}"
     public = {
         name: found
         for name, found in {**member.inherited_members, **member.members}.items()
-        if name == "__init__" or not name.startswith("_")
+        if not name.startswith("_") and found.is_function
     }
-    init = public.pop("__init__", None)
-    own_init = init is not None and init.is_function and "dataclass" not in member.labels
-    for name, found in public.items():
-        if own_init or not found.is_attribute or "property" in found.labels:
-            continue
-        kind = f": {found.annotation}" if found.annotation else ""
-        default = f" = {found.value}" if found.value is not None else ""
-        # Quotes as ruff would set them: it checks the page, too.
-        lines.append(f"    {name}{kind}{default}".replace("'", '"'))
-    methods = [name for name, found in public.items() if _is_method(found)]
-    if own_init:
-        lines.append("    " + signature(init).replace("\n", "\n    "))
-    lines += ["```\n", paragraph(member), ""]
-    if len(methods) > MOST_METHODS:
-        lines.append("Methods: " + ", ".join(f"`{name}`" for name in methods))
-        return "\n".join(lines) + "\n"
-    again: dict[str, list[str]] = {}
-    for name in methods:
-        found = public[name]
-        shown = names(found) if found.is_function else f": {found.annotation}"
-        line = f"- `{name}{shown}`: {sentence(found)}"
-        if shown.endswith("None"):
-            line = line.replace(", or None.", ".")
-        if told.setdefault(line, member.name) == member.name:
-            lines.append(line.removesuffix(": "))
-        else:
-            again.setdefault(told[line], []).append(f"`{name}`")
-    lines += [f"- {', '.join(names)}: as of [{of}](#{anchor(of)})" for of, names in again.items()]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def _is_method(found: griffe.Object | griffe.Alias) -> bool:
-    return found.is_function or "property" in found.labels
+    methods = ", ".join(f"`{name}`" for name in public)
+    return f"- **`{member.name}`**: {sentence(member)}" + f" {methods}." * bool(methods)
 
 
 def arguments(function: griffe.Object | griffe.Alias) -> str:
@@ -204,16 +160,6 @@ def names(function: griffe.Object | griffe.Alias) -> str:
         before, _, default = parameter.partition(" = ")
         kept.append(before.partition(":")[0] + f"={default}" * bool(default))
     return f"({', '.join(kept)})" + f" -> {result}" * (result != "None")
-
-
-def signature(function: griffe.Object | griffe.Alias) -> str:
-    line = f"def {function.name}{arguments(function)}".removesuffix(" -> None")
-    if len(line) <= 96:
-        return line
-    parameters, _, result = arguments(function).rpartition(") -> ")
-    inner = ",\n    ".join(_split(parameters.removeprefix("(")))
-    end = f" -> {result}" * (result != "None")
-    return f"def {function.name}(\n    {inner},\n){end}"
 
 
 def _split(parameters: str) -> list[str]:
