@@ -9,6 +9,8 @@ the same under every Python version.
 """
 
 import argparse
+import dataclasses
+import inspect
 import json
 import re
 import subprocess
@@ -16,19 +18,23 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
 
 import griffe
 from report_keys import counts, report_keys
 
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_of
-from pipelines.recording.recorded_messages import SCHEMAS
-from pipelines.recording.schemas import MessageSchema
+from pipelines.session.setup.composition import Composition
 from pipelines.session.setup.segments import Direction
 from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.setup_text import SETUP_FILE, file_kind
+from pipelines.session.setup.table import Playback, RtcLeg, Setup, VideoStream, VoiceStream
 from pipelines.session.topology import tables
 from pipelines.session.topology.table import Topology
 from pipelines.table import topology_of
+from telepresence.haptics.axes import AxisSettings
+from telepresence.haptics.envelope import SafetyLimits
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = ("media", "codecs", "rtp", "sources", "streams", "topics", "clock")
@@ -105,6 +111,11 @@ change. Instants are integer nanoseconds of one clock, most often a `MonotonicCl
 Classes are bold, and have their methods behind them. Types, units, shapes and errors are in the
 docstrings: `python -c "import kontur_av; help(kontur_av.PictureSender)"`.
 """
+#: Fields of a setup that are tables of their own.
+TABLES = (
+    *("uplink_video", "uplink_voice", "downlink_video", "downlink_voice", "uplink", "downlink"),
+    *("composed", "axis", "rtc", "playback", "safety"),
+)
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 
@@ -396,7 +407,7 @@ def topology_blocks() -> dict[str, str]:
         "processes": _markdown(joined(_in_code(processes, "process"))),
         "channels": _markdown(channels),
         "recorded channels": _markdown(joined(recorded_channels(session))),
-        "recorded fields": recorded_fields(),
+        "setup": setup_fields(),
         "report": report_keys(),
         "counts": counts(),
     }
@@ -420,21 +431,52 @@ def recorded_channels(session: Topology) -> tables.Table:
     )
 
 
-def recorded_fields() -> str:
-    """A list of fields for each schema, and for each one in it."""
-    named: list[tuple[str, MessageSchema]] = []
-    for schema in SCHEMAS:
-        named.append((schema.full_name, schema))
-        named += [(f"{schema.full_name}.{inner.name}", inner) for inner in schema.nested]
+def setup_fields() -> str:
+    """For each table of a setup's file: its keys, their defaults, and what they mean."""
+    tables_of: dict[str, tuple[Any, Any]] = {
+        "": (Setup, SETUP_FILE),
+        "[uplink_video]`, `[downlink_video]": (VideoStream, file_kind(VideoStream)),
+        "[uplink_voice]`, `[downlink_voice]": (VoiceStream, file_kind(VoiceStream)),
+        "[composed.NAME]": (Composition, Composition),
+        "[axis.NAME]": (AxisSettings, AxisSettings),
+        "[rtc]": (RtcLeg, file_kind(RtcLeg)),
+        "[playback]": (Playback, Playback),
+        "[safety]": (SafetyLimits, SafetyLimits),
+    }
     parts = []
-    for name, schema in named:
-        alike: dict[str, list[str]] = {}
-        for row in schema.fields:
-            told = f" ({row.type}{'[]' * row.repeated}): {row.what}"
-            alike.setdefault(told, []).append(f"`{row.name}`")
-        fields = (f"- {', '.join(names)}{told}" for told, names in alike.items())
-        parts.append("\n".join([f"`{name}`\n", *fields]))
-    return "\n\n".join(parts) + "\n"
+    for name, (kind, in_file) in tables_of.items():
+        said = _said_of_fields(kind)
+        lines = [f"**`{name}`**\n"] if name else []
+        for field in dataclasses.fields(in_file):
+            own = {"size": "width"}.get(field.name, field.name.replace("_kbps", "_bps"))
+            if name or own not in TABLES:
+                what = re.sub(r"\(?docs/(([\w-]+)\.md[#\w-]*)\)?", r"([\2](\1))", said[own])
+                lines.append(f"- `{field.name}`{_default(field, kind, own)}: {what}")
+        parts.append("\n".join(lines) + "\n")
+    return "\n".join(parts)
+
+
+def _said_of_fields(kind: type) -> dict[str, str]:
+    """By field: its sentence in the docstring, `name, name: what`."""
+    text = inspect.getdoc(kind) or ""
+    found = {}
+    for entry in re.split(r"\n(?=\w+(?:, \w+)*: )|(?<=\. )(?=\w+(?:, \w+)*: )", text)[1:]:
+        names, _, what = entry.partition(": ")
+        for name in names.split(", "):
+            found[name] = " ".join(what.split()).partition("\n\n")[0]
+    return found
+
+
+def _default(field: dataclasses.Field[Any], kind: Any, own: str) -> str:
+    """` = ` and the default of a field as a file has it; of choices all, the default first."""
+    hint = next(one.type for one in dataclasses.fields(kind) if one.name == own)
+    default = field.default
+    if get_origin(hint) is Literal:
+        choices = sorted(get_args(hint), key=lambda one: one != default)
+        return " = " + ", ".join(f'`"{one}"`' for one in choices)
+    if default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+        return " (must be given)" * (own != "name")
+    return "" if default in (dataclasses.MISSING, None) else f" = `{json.dumps(default)}`"
 
 
 def filled(document: str, blocks: dict[str, str]) -> str:
