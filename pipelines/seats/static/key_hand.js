@@ -49,7 +49,7 @@ export function steerByKeys(keyboard, control, halves) {
     {
       keys: ["Space"],
       shown: "Space",
-      what: "hold the handle (the dead-man switch)",
+      what: "hold the handle (the dead-man button)",
       down: () => {
         if (!control.press("keys")) return;
         lastMs = performance.now();
