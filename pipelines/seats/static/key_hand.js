@@ -1,5 +1,5 @@
 /**
- * Steers with keys: Space is the dead-man switch, arrows or WASD move the handle at a constant
+ * Steers with keys: Space is the dead-man button, arrows or WASD move the handle at a constant
  * speed, slower with Shift.
  *
  * @import { HandControl } from "./hand_control.js"
