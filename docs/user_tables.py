@@ -1,4 +1,4 @@
-"""Tables for who sits in a session, from the code: keys of pages, and why the robot holds still."""
+"""Tables from the code: keys of pages, why the robot holds still; and the index of all pages."""
 
 import re
 from functools import cache
@@ -98,4 +98,34 @@ def holds_table() -> str:
             comment.insert(0, source[at].strip().removeprefix("#: "))
             at -= 1
         lines.append(f"| {value} | {' '.join(comment)} |")
+    return "\n".join(lines) + "\n"
+
+
+#: Pages in the order of the index; pages without a place here come last.
+ORDER = (
+    *("first-session", "operator", "ground-control", "troubleshooting", "install"),
+    *("cameras", "drivers", "two-machines", "telemetry", "own-programs"),
+    *("rtp-streams", "webrtc", "live-viewers", "recordings", "simulation"),
+    *("safety", "security", "architecture", "haptics", "wire-formats", "measurements"),
+    *("setup-file", "commands", "report", "python"),
+)
+
+
+def purpose(text: str) -> tuple[str, str]:
+    """The reader and the question that a page names in its first line; "" if it names none."""
+    found = re.match(r"# [^\n]*\n\nFor (.*?): (.*?\?)", text, re.DOTALL)
+    return (found[1], " ".join(found[2].split())) if found else ("", "")
+
+
+def pages_table() -> str:
+    """Each page of the documents, for whom it is, and its question."""
+    found = {page.stem: page for page in sorted((ROOT / "docs").glob("*.md"))}
+    del found["index"]
+    names = [name for name in ORDER if name in found]
+    names += [name for name in found if name not in ORDER]
+    lines = ["| page | for | question |", "| --- | --- | --- |"]
+    for name in names:
+        reader, question = purpose(found[name].read_text(encoding="utf-8"))
+        question = question[:1].upper() + question[1:]
+        lines.append(f"| [{name}]({name}.md) | {reader} | {question} |")
     return "\n".join(lines) + "\n"
