@@ -26,7 +26,7 @@ COMPUTED = {
     '"open a tab"': ("1 … 9", "open a tab"),
 }
 #: Keys that come first: the stop, then those of the hand.
-FIRST = ("emergency stop", "hold the handle", "with Space: move", "with these", "let go", "take the")
+FIRST = ("emergency stop", "hold the", "with Space: move", "with these", "let go", "take the")
 
 
 def keys_table() -> str:

@@ -253,7 +253,7 @@ class Setup:
         (docs/haptics-sample.md). axis: what there is to say of one of these.
     rtc: the leg to a partner across the Internet; None: there is none.
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
-    tasks: a live session has tasks, which people select and do (docs/tasks.md).
+    tasks: a live session has tasks, which people select and do (docs/ground-control.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
     playback: where the operator in space, and the ground, hear the voice (docs/setups.md).
     recorded_cameras: which cameras a recording has beside the streams (docs/recordings.md).
