@@ -20,7 +20,7 @@ from pathlib import Path
 
 import griffe
 from report_keys import counts_table, keys_tables
-from user_tables import holds_table, keys_table, pages_table
+from user_tables import holds_table, keys_table, pages_list
 
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_of
@@ -412,7 +412,7 @@ def topology_blocks() -> dict[str, str]:
     channels = _channels_table(session, topology_of(load_setup("taskboard")))
     return {
         "commands": commands_text(),
-        "pages": pages_table(),
+        "pages": pages_list(),
         "keys": keys_table(),
         "holds": holds_table(),
         "processes": _markdown(joined(_in_code(processes, "process"))),

@@ -117,15 +117,14 @@ def purpose(text: str) -> tuple[str, str]:
     return (found[1], " ".join(found[2].split())) if found else ("", "")
 
 
-def pages_table() -> str:
+def pages_list() -> str:
     """Each page of the documents, for whom it is, and its question."""
     found = {page.stem: page for page in sorted((ROOT / "docs").glob("*.md"))}
     del found["index"]
     names = [name for name in ORDER if name in found]
     names += [name for name in found if name not in ORDER]
-    lines = ["| page | for | question |", "| --- | --- | --- |"]
+    lines = []
     for name in names:
         reader, question = purpose(found[name].read_text(encoding="utf-8"))
-        question = question[:1].upper() + question[1:]
-        lines.append(f"| [{name}]({name}.md) | {reader} | {question} |")
+        lines.append(f"- [{name}]({name}.md), for {reader}: {question}")
     return "\n".join(lines) + "\n"
