@@ -22,6 +22,7 @@ from typing import Any, Literal, get_args, get_origin
 
 import griffe
 from report_keys import counts, report_keys
+from user_tables import holds_table, keys_table, pages_list
 
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_of
@@ -404,6 +405,9 @@ def topology_blocks() -> dict[str, str]:
     channels = _channels_table(session, topology_of(load_setup("taskboard")))
     return {
         "commands": commands_text(),
+        "pages": pages_list(),
+        "keys": keys_table(),
+        "holds": holds_table(),
         "processes": _markdown(joined(_in_code(processes, "process"))),
         "channels": _markdown(channels),
         "recorded channels": _markdown(joined(recorded_channels(session))),

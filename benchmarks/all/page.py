@@ -10,7 +10,7 @@ from pipelines.report.result import Headline, decimals
 
 _HEAD = """# Measurements
 
-For whoever asks what was measured on which code: the headline figures.
+For whoever asks for figures: what was measured, with which command, on which code?
 
 `python -m benchmarks all` wrote this page from the JSON files in `{folder}`, which have all other
 figures; with `--render` it does so without measuring. A figure is the median of its runs, with the

@@ -71,20 +71,35 @@ class SafetyLimits:
 
 
 class Hold(StrEnum):
-    """Why the robot holds still; empty: it follows the hand."""
+    """Why the robot holds still; empty: it follows the hand. A comment says what the operator does.
+
+    docs/troubleshooting.md shows these comments.
+    """
 
     NONE = ""
+    #: Release the stop, switch the robot on, then press anew.
     STOPPED = "emergency stop"
+    #: Press the dead-man button, and keep it pressed.
     RELEASED = "the dead-man button is released"
+    #: Wait: the link brings no command. After a longer gap press anew.
     NO_COMMAND = "no command"
+    #: Let the dead-man button go, and press it anew.
     STARTED = "the robot has started"
+    #: Let the dead-man button go, and press it anew.
     JOYSTICK_STARTED = "the joystick has started"
+    #: Wait for contact, then press anew.
     LOST = "the commands were missing"
+    #: Start the joystick, and read the cause of its state in the panel Joystick; then press anew.
     INACTIVE = "the joystick was not in the application"
+    #: Wait until the robot is handed to you, then press anew.
     OWNER = "another owner"
+    #: Switch the robot on, then press anew.
     OFF = "the robot was off"
+    #: Look where the new camera looks, then press anew.
     CAMERA = "another camera"
+    #: Wait until the picture is no more STALE, then press anew.
     PICTURE = "the operator's picture was too old"
+    #: Wait until the path is faster, then press anew.
     AGE = "the commands were too old"
 
 
