@@ -109,9 +109,11 @@ with ka.SoundSender("localhost:5006", cap_bps=64_000) as end:
 Import these names from the modules that stand above them. All else is the project's own and may
 change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
 
-Classes are bold, and have their methods behind them. Types, units, shapes and errors are in the
+Classes are bold; of small ones the methods stand behind. Types, units, shapes and errors are in the
 docstrings: `python -c "import kontur_av; help(kontur_av.PictureSender)"`.
 """
+#: Of a class with more methods the page has none.
+MOST_METHODS = 5
 #: Fields of a setup that are tables of their own.
 TABLES = (
     *("uplink_video", "uplink_voice", "downlink_video", "downlink_voice", "uplink", "downlink"),
@@ -154,7 +156,7 @@ def entry(member: griffe.Object | griffe.Alias) -> str:
         for name, found in {**member.inherited_members, **member.members}.items()
         if not name.startswith("_") and found.is_function
     }
-    methods = ", ".join(f"`{name}`" for name in public)
+    methods = ", ".join(f"`{name}`" for name in public) if len(public) <= MOST_METHODS else ""
     return f"- **`{member.name}`**: {sentence(member)}" + f" {methods}." * bool(methods)
 
 
@@ -234,8 +236,8 @@ def run_table() -> str:
 def commands_text() -> str:
     """What several commands' options mean, then every command with those of its own.
 
-    What only the subcommands of one command share stands there. The options of benches are left to
-    `--help`.
+    What only the subcommands of one command share stands there. Which command has a shared option,
+    and the options of benches, are left to `--help`.
     """
     commands = [
         (name.removeprefix("kontur-av "), parser)
@@ -243,25 +245,23 @@ def commands_text() -> str:
         if not name.startswith("kontur-av bench ")
     ]
     rows = {name: _rows(parser) for name, parser in commands}
-    everywhere = _shared({name: name.split()[0] for name in rows}, rows)
+    shared = _shared({name: name.split()[0] for name in rows}, rows)
     parts = ["## Options of several commands\n"]
-    parts += [f"- {option}: {told}" for option, told in everywhere]
-    shared = everywhere
+    parts += [f"- {option}: {told}" for option, told in shared]
+    below: list[tuple[str, str]] = []
     for name, parser in commands:
         told = _sentence(parser.description)
+        own = _own(rows[name], shared)
         if " " in name:
-            own, also = _own_and_shared(rows[name], shared)
-            parts.append(f"- `{name}`: {told} {'; '.join([*own, *also])}".rstrip())
+            own = [row for row in own if row not in below]
+            parts.append(f"- `{name}`: {told} {'; '.join(map(_told, own))}".rstrip())
             continue
-        below = {of: of for of in rows if of.startswith(f"{name} ")}
-        here = [row for row in _shared(below, rows) if row not in everywhere]
-        shared = [*everywhere, *here]
-        own, also = _own_and_shared(rows[name], everywhere)
+        inner = {of: of for of in rows if of.startswith(f"{name} ")}
+        below = [row for row in _shared(inner, rows) if row not in shared]
         parts.append(f"\n## `kontur-av {name}`\n\n{told}")
-        parts += [""] * bool(rows[name] or below)
-        parts += [f"- {one}" for one in own]
-        parts += ["- " + "and " * bool(own) + ", ".join(also)] * bool(also)
-        parts += ["- of several: " + "; ".join(map(_told, here))] * bool(here)
+        parts += [""] * bool(own or inner)
+        parts += [f"- {_told(row)}" for row in own]
+        parts += ["- of several: " + "; ".join(map(_told, below))] * bool(below)
     return "\n".join(parts) + "\n"
 
 
@@ -285,31 +285,14 @@ def _told(row: tuple[str, str]) -> str:
     return option + f": {what}" * bool(what)
 
 
-def _own_and_shared(
-    rows: list[tuple[str, str]], shared: list[tuple[str, str]]
-) -> tuple[list[str], list[str]]:
+def _own(rows: list[tuple[str, str]], shared: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """The options that are not shared; all times of virtual steps as one."""
     own = [row for row in rows if row not in shared]
-    times = [row for row in own if row[1].startswith("virtual time to ")]
-    told = [_told(row) for row in own if row not in times]
+    times = [_option(row) for row in own if row[1].startswith("virtual time to ")]
     if times:
-        said = ", ".join(f"`{_option(row)}`" for row in times)
-        told.append(f"{said}: what this takes of virtual time")
-    return told, _in_runs([shared.index(row) for row in rows if row in shared], shared)
-
-
-def _in_runs(places: list[int], order: list[tuple[str, str]]) -> list[str]:
-    """The options at these places of the list above; of three that follow each other the ends."""
-    runs: list[list[int]] = []
-    for at in sorted(places):
-        if runs and runs[-1][-1] == at - 1:
-            runs[-1].append(at)
-        else:
-            runs.append([at])
-    told = []
-    for run in runs:
-        names = [f"`{_option(order[at])}`" for at in run]
-        told += [f"{names[0]} to {names[-1]}"] if len(names) > 2 else names
-    return told
+        own = [row for row in own if _option(row) not in times]
+        own.append((f"`{times[0]}` to `{times[-1]}`", "virtual time that such a step takes"))
+    return own
 
 
 def _option(row: tuple[str, str]) -> str:

@@ -26,7 +26,6 @@ from pipelines.packets.bridge import FrameMetrics, PacketsMetrics
 from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
 from pipelines.report.model import (
-    HapticReport,
     ProcessReport,
     SessionReport,
     StreamLatency,
@@ -104,9 +103,7 @@ EXPLAINED: tuple[type, ...] = (
     SessionReport,
     StreamReport,
     StreamLatency,
-    HapticReport,
     ProcessReport,
-    SafetyMetrics,
 )
 
 
