@@ -82,5 +82,5 @@ def test_the_ci_runs_the_readmes_test_command():
 
 def test_the_example_of_a_setup_is_one():
     text, *_ = blocks((ROOT / "docs" / "setup-file.md").read_text(encoding="utf-8"), "toml")
-    setup = setup_from_table(tomllib.loads(text))
+    setup = setup_from_table({"name": "wrist", **tomllib.loads(text)})
     assert setup.inputs[:4] == ("left", "right", "wrist", "static")
