@@ -15,6 +15,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.metrics import plus
 from pipelines.media.following import SELECTED_TOPIC
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.recording import part_files
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import sources_of
@@ -39,6 +40,7 @@ from pipelines.session.requests import RequestServer
 from pipelines.session.session_metrics import SessionNews, gathered
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import TopicReader
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 #: How often topics are read.
 _WAKE_NS = 50 * NS_PER_MS
@@ -175,6 +177,7 @@ class _Recording:
         self._recorder = Recorder(
             topology,
             metadata,
+            session_dictionary(built_in_dictionary(), topology),
             wall_offset_ns=offset_ns,
             link_frames=options.link_frames,
             limits=options.limits,
@@ -191,7 +194,7 @@ class _Recording:
         self._selected = TopicReader(self._bus, SELECTED_TOPIC)
         whole = setup.recorded_cameras == "all"
         self._cameras = [
-            CameraReader(self._bus, source, self._recorder.coder(source), whole=whole)
+            CameraReader(self._bus, source, self._recorder.coder(source), now_ns, whole=whole)
             for source in sources
             if source.is_camera
         ]
