@@ -116,7 +116,8 @@ class _RecorderProcess:
             path, overwrite=start.overwrite, sources=self._context.setup.sources.values()
         )
         try:
-            part_files.check_disk(path, self._context.setup, part_files.LEAST_RECORDED_S)
+            cameras = part_files.recorded_cameras(path, self._context.setup, start.options.cameras)
+            part_files.check_disk(path, cameras, part_files.LEAST_RECORDED_S)
             part_files.clear_parts(path)
             write_request(self._context.session, start.options)
         except OSError as error:
@@ -143,6 +144,7 @@ class _RecorderProcess:
             messages=counters.messages,
             lost=counters.lost,
             fault="" if recording is None else recording.fault,
+            cameras="" if recording is None else recording.cameras,
         )
 
     def _publish(self) -> None:
@@ -156,7 +158,10 @@ class _Recording:
 
     def __init__(self, context: Context, options: RecordingOptions) -> None:
         self._now_ns = context.clock.now_ns
-        topology, setup = context.topology, context.setup
+        cameras = part_files.recorded_cameras(Path(options.file), context.setup, options.cameras)
+        self.cameras = cameras.words
+        setup = replace(context.setup, recorded_cameras=cameras.choice)
+        topology = replace(context.topology, setup=setup)
         offset_ns = context.clock.wall_offset_ns
         now_ns = self._now_ns()
         # Those of a session that is recorded from its start, and those that a killed recorder held.
@@ -192,7 +197,7 @@ class _Recording:
             if not source.is_camera
         ]
         self._selected = TopicReader(self._bus, SELECTED_TOPIC)
-        whole = setup.recorded_cameras == "all"
+        whole = cameras.choice == "all"
         self._cameras = [
             CameraReader(self._bus, source, self._recorder.coder(source), now_ns, whole=whole)
             for source in sources
@@ -211,7 +216,7 @@ class _Recording:
 
     @property
     def metrics(self) -> RecorderMetrics:
-        return self._recorder.metrics(str(self.file))
+        return replace(self._recorder.metrics(str(self.file)), cameras=self.cameras)
 
     def handle_news(self, news: SessionNews) -> None:
         """The launcher tells the figures, and what happened, also before the recording."""
@@ -249,8 +254,7 @@ class _Recording:
         self._take_results()
         self._recorder.parts.handle_abandoned()
         self._bus.close()
-        told = self._recorder.metrics(str(self.file))
-        return replace(told, recording=False, fault=None, waiting_octets=0)
+        return replace(self.metrics, recording=False, fault=None, waiting_octets=0)
 
     def _follow(self, camera: str) -> None:
         carried = self._carried.get(camera, ())
