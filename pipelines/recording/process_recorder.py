@@ -52,6 +52,8 @@ _DRAIN_NS = 150 * NS_PER_MS
 _CLOSE_S = 1.5
 #: Unread samples of a topic that are kept: the most that there can be.
 _DEPTH = 32
+#: Pictures of a camera that are coded before other things are done: twice as many as come.
+_PICTURES = 4
 
 
 def run_recorder(context: Context) -> None:
@@ -240,7 +242,9 @@ class _Recording:
         if (choice := self._selected.latest()) is not None:
             self._follow(choice.camera)
         for camera in self._cameras:
-            while (coded := camera.poll(self._now_ns())) is not None:
+            for _ in range(_PICTURES):
+                if (coded := camera.poll(self._now_ns())) is None:
+                    break
                 recorder.handle_camera(camera.source, *coded, self._now_ns())
         recorder.handle_time(self._now_ns())
         self._pump()
