@@ -370,9 +370,19 @@ class Seat:
         words = texts.pack_text(news)
         for page in self._pages.values():
             page.queue.put_metrics(words)
+        self.mission.handle_obstacle(self._obstacle())
         selected = self._figure("processes.selector.selected")
         if self.plan.segment is Segment.SPACE and isinstance(selected, str):
             self.handle_camera(selected, now_ns)
+
+    def _obstacle(self) -> str:
+        """Why an end known here sends nothing, or refuses the other one."""
+        found = []
+        for end in (self.plan.segment, self.plan.segment.peer):
+            head = f"gateways.{end.value}.supervision"
+            if self._figure(f"{head}.state") in ("check", "refused"):
+                found.append(f"{end.value}: {self._figure(f'{head}.why')}")
+        return "; ".join(found)
 
     def _figure(self, name: str) -> Figure:
         return None if self._session is None else self._session.figures.get(name)
