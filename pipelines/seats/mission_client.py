@@ -223,7 +223,7 @@ class MissionClient:
         elif isinstance(news, tmtc_messages.K2aciArrived):
             if self._chat.handle_arrived(news, now_ns):
                 self._changed.add("chat")
-        elif isinstance(news, tmtc_messages.Reported):
+        elif isinstance(news, tmtc_messages.Reported) and news.kind != "data":
             self._telemetry.handle_report(news, now_ns)
             if news.application == f"{self._segment.peer.value}_gateway":
                 # It says whether it hears us; its event is the quicker one.

@@ -87,6 +87,9 @@ class StreamOptions:
     telemetry: tuple[str, ...] = _session(
         "SPEC  your component in telemetry: module:Class, at both ends; repeatable", ()
     )
+    routes: Path | None = _session(
+        "FILE.xml  which data of applications go to your components, or to ground; at both ends"
+    )
     trainer: bool = _session(
         "heed `kontur-av trainer`; with --end space, the radio of both directions is here", False
     )
