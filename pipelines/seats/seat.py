@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from msgspec.structs import asdict, replace
 
-from kontur_av.clock import NS_PER_MS, NS_PER_US
+from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ProtocolError
 from pipelines.hand.hand_topics import HandRequest, JoystickStatus
-from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
+from pipelines.mission.tmtc_messages import SetValues, TmtcNews, TmtcRequest, Values
 from pipelines.seats import texts
 from pipelines.seats.holders import HandGate, HandleAuthority, JoystickClient, OwnInputs
 from pipelines.seats.mission_client import MissionClient
@@ -51,6 +51,8 @@ SeatEvent = PageInput | HandRequest | Order | PageRequest | StopAsked | TmtcRequ
 #: Pages that are open at a time: of viewers, and of all who may act.
 MOST_VIEWERS, MOST_ACTING = 12, 12
 HEARTBEAT_NS = 100 * NS_PER_MS
+#: How often the telemetry of K2CP is told.
+_K2CP_NS = 5 * NS_PER_S
 #: As many as the launcher keeps.
 _MOST_EVENTS = 200
 
@@ -140,7 +142,7 @@ class Seat:
         self._stop: tuple[bool, str] = (False, "")
         self._signal: bool | None = None
         self.camera: str | None = None
-        self._due_ns = 0
+        self._due_ns = self._k2cp_ns = 0
         self._events: deque[SeatEvent] = deque()
         self._left_out = 0
 
@@ -396,6 +398,12 @@ class Seat:
         if now_ns >= self._due_ns:
             self._publish_state(now_ns)
             self._publish_mission()
+        if self.plan.segment is Segment.SPACE and now_ns >= self._k2cp_ns:
+            self._k2cp_ns = now_ns + _K2CP_NS
+            acts = any(page.role is not Role.VIEWER for page in self._pages.values())
+            joystick = self._joystick is not None
+            told: Values = {"state": "open" if acts else "no page", "joystick": joystick}
+            self._events.append(SetValues("k2cp", told))
 
     def _publish_state(self, now_ns: int) -> None:
         self._due_ns = now_ns + HEARTBEAT_NS
