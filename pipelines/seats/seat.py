@@ -23,6 +23,7 @@ from pipelines.session.page_messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.session_metrics import Event, Figure, SessionNews, gathered
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
+from pipelines.session.topology.topics import TRAINER
 from telepresence.haptics.device import states
 from telepresence.haptics.device.page import PageInput
 
@@ -55,6 +56,11 @@ HEARTBEAT_NS = 100 * NS_PER_MS
 _K2CP_NS = 5 * NS_PER_S
 #: As many as the launcher keeps.
 _MOST_EVENTS = 200
+
+
+def _untold(news: SessionNews) -> SessionNews:
+    """The news for all but the trainer: who is trained does not read what is an exercise."""
+    return replace(news, events=tuple(one for one in news.events if one.what != TRAINER))
 
 
 class _Rule(NamedTuple):
@@ -192,6 +198,8 @@ class Seat:
         page.queue.put_state(self._state_text(number, now_ns))
         if self._session is not None:
             joined = replace(self._session, events=tuple(self._happened))
+            if role is not Role.TRAINER:
+                joined = _untold(joined)
             page.queue.put_metrics(texts.pack_text(joined))
         return number
 
@@ -369,9 +377,9 @@ class Seat:
         """A message of the launcher; pages get it unchanged."""
         self._session = news
         self._happened.extend(news.events)
-        words = texts.pack_text(news)
+        words, others = texts.pack_text(news), texts.pack_text(_untold(news))
         for page in self._pages.values():
-            page.queue.put_metrics(words)
+            page.queue.put_metrics(words if page.role is Role.TRAINER else others)
         self.mission.handle_obstacle(self._obstacle())
         selected = self._figure("processes.selector.selected")
         if self.plan.segment is Segment.SPACE and isinstance(selected, str):

@@ -304,10 +304,11 @@
 /**
  * What the page where people choose a page must know; it stands in that page itself. seat: the end
  * that serves it. ports: by end, of those on this machine. tasks: whether the session has any.
- * people: by role, its token, for the owner to hand out; none for others.
+ * trainer: whether it has one. people: by role, its token, for the owner to hand out; none for
+ * others.
  * @typedef {{role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" |
  *   "trainer" | "viewer", seat: "ground" | "space", ports: Record<string, number>, tasks: boolean,
- *   people: Record<string, string>}} WelcomeText
+ *   trainer: boolean, people: Record<string, string>}} WelcomeText
  */
 
 /**
