@@ -66,7 +66,9 @@ def sending_end(
         running = running_sessions(tmtc_socket_name(origin))
         if fitting(name, running):
             break
-    lacks = f"here without its end {origins[0].value}: leave --from out"
+    lacks = "here and takes no telecommands now: it begins or ends"
+    if sender is not None:
+        lacks = f"here without its end {sender}: leave --from out"
     return acting_on(name, running, moves=moves, lacks=lacks), origin
 
 
