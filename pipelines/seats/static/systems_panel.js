@@ -51,7 +51,7 @@ class SystemsPanel extends HTMLElement {
         // Most sessions have no partner's robot.
         row.hidden = said === null || (parameter === "partner" && said.text === "none");
         if (said === null) continue;
-        setText(value, nameText(said.text));
+        setText(value, parameter === "partner" && said.text === "driven" ? partnerSays(telemetry) : nameText(said.text));
         setAttribute(value, "data-level", said.level);
         setAttribute(row, "data-old", said.past ? "true" : null);
         setText(age, said.age === null ? "never" : agoText(said.age));
@@ -61,6 +61,13 @@ class SystemsPanel extends HTMLElement {
     telemetry.onchange = show;
     setInterval(show, TICK_MS);
   }
+}
+
+/** What is known of the partner's robot while it is driven. @param {Telemetry} telemetry */
+function partnerSays(telemetry) {
+  const [force, age] = ["partner_force", "partner_age"].map((name) => telemetry.get("robot", name)?.value);
+  if (typeof force !== "number" || typeof age !== "number") return "Driven";
+  return `Driven: ${force.toFixed(1)} N, its answer ${age} ms old`;
 }
 
 customElements.define("systems-panel", SystemsPanel);
