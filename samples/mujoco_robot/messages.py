@@ -15,8 +15,8 @@ ORDER = struct.Struct("=BBdd")
 MOST_MS = 20
 BRAKE, FOLLOW, GOOD_BYE, SHOW = range(4)
 JOINTS = 7
-#: For a driver: tip (m), velocity (m/s), force of the surroundings (N); the joints' angles (rad) and
-#: torques (N m); contact; holds the ball.
+#: For a driver: tip (m), velocity (m/s), force of the surroundings (N); angles (rad) and torques
+#: (N m) of the joints; contact; holds the ball.
 STATE = struct.Struct(f"=6d{2 * JOINTS}d??")
 #: The socket of the physics; each driver and camera has one beside it.
 PHYSICS = "physics"
