@@ -28,6 +28,8 @@ _SPRING_X_M = -0.115
 _PULL_N = 3.0
 #: How far through the partner's hand it pushes.
 _THROUGH_M = 0.03
+#: It approaches the ball, or the hand that takes it, at its height, from beside it.
+_LEVEL_M, _BESIDE_M, _CLEAR_M = 0.012, 0.09, 0.075
 #: How far ahead on a curve the hand aims (points of `CURVE_POINTS`).
 _AHEAD = 3
 #: The farthest that the tip may be behind where the hand aims.
@@ -181,16 +183,21 @@ class Cosmonaut(Hand):
             self._apart = tip_m[0] - handle_m[0], tip_m[1] - handle_m[1]
             if view.goal in (TaskGoal.HANDS, TaskGoal.BALL):
                 if view.target_m is not None:
-                    self._meet(view.goal, view.target_m, view.start_m)
+                    self._meet(view, view.target_m, tip_m)
             else:
                 self._work(tip_m)
 
-    def _meet(self, goal: str, at_m: tuple[float, float], from_m: tuple[float, float]) -> None:
-        """Go to the ball, or to the partner's hand; push that one away from where the run began."""
+    def _meet(self, view: PanelView, at_m: tuple[float, float], tip_m: tuple[float, float]) -> None:
+        """Go to the ball or the partner's hand from the right, where both hands' fingers are open;
+        push the hand.
+        """
         x_m, y_m = at_m
-        if goal == TaskGoal.HANDS and (way_m := dist(from_m, at_m)) > 0.0:
-            x_m += _THROUGH_M * (x_m - from_m[0]) / way_m
-            y_m += _THROUGH_M * (y_m - from_m[1]) / way_m
+        if view.goal == TaskGoal.HANDS:
+            x_m -= _THROUGH_M
+        elif abs(tip_m[1] - y_m) > _LEVEL_M:
+            # To the side first, so that neither ball nor fingers hit something on the way up.
+            y_m = tip_m[1] if tip_m[0] < x_m + _CLEAR_M else y_m
+            x_m += _BESIDE_M
         self.track(self._in_hand((x_m, y_m)), speed_m_s=self.skill.speed_m_s)
 
     def _work(self, tip_m: tuple[float, float]) -> None:

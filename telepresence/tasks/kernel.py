@@ -295,7 +295,8 @@ class _HoldBallCheck(_HeldCheck):
 
     def place(self, view: View) -> tuple[float, float] | None:
         elemop, other = self.elemop, view.other
-        if elemop.hand is Hands.PARTNER or (other is not None and other.holds):
+        passes = elemop.hand is Hands.PARTNER and view.holds
+        if passes or (other is not None and other.holds):
             return _place_of(other)
         return elemop.x_mm / 1e3, elemop.y_mm / 1e3
 
