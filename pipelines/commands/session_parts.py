@@ -58,7 +58,7 @@ def checked_components(
     if Segment.SPACE in segments:
         check_joystick(args.joystick, setup.more_axes)
     if Segment.GROUND in segments:
-        check_robot(args.robot, setup.more_axes)
+        check_robot(args.robot, setup.more_axes, felt=setup.force == "felt")
         check_robot(args.second_robot)
     say_unprotected(args.joystick, args.robot)
     return load_components(args.telemetry, built_in_dictionary())

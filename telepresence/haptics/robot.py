@@ -62,6 +62,7 @@ class RobotCapabilities:
     takes: "force" (N at the tip; at `LEAST_FORCE_HZ` or faster), or "position" for a robot that
     only takes places: then the session moves a virtual mass by the forces, and the robot follows
     its place.
+    force: "none" if it measures no force of its surroundings: the session then is one without.
     force_limit_n: per axis. speed_m_s: of the tip.
     half_width_m, half_height_m: of the workspace, from its middle.
     more: the axes behind x and y; the driver then has the methods of `MoreAxes`.
@@ -72,6 +73,7 @@ class RobotCapabilities:
 
     name: str
     takes: Literal["force", "position"] = "force"
+    force: Literal["felt", "none"] = "felt"
     force_limit_n: float = 30.0
     speed_m_s: float = 0.5
     half_width_m: float = 0.15
