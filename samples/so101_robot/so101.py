@@ -19,23 +19,25 @@ from telepresence.haptics.axes import AxisCapabilities, AxisReading
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 #: At first (rad): over the block, jaws down and open. In the model the arm's joints come first.
-HOME_RAD, ARM = (0.0, -0.1, -0.2, 1.65, 1.57, 0.9), slice(0, 6)
-#: x, y and z of the session are the model's y, z and x: right, up, and towards its camera.
-MIDDLE_M = np.array([0.0, 0.11, 0.225])
+HOME_RAD, ARM = (0.0, -0.1, -0.2, 1.65, 1.57, 1.2), slice(0, 6)
+#: The model's x, y and z are z, x and y of the session: towards its camera, right, and up.
+MIDDLE_M = np.array([0.225, 0.0, 0.11])
 #: By axis behind x and y: half its range, force limit and speed (m, N, m/s; rad, N m, rad/s).
 MORE = {"z": (0.075, 12.0, 0.2), "roll": (1.2, 0.8, 1.5), "gripper": (0.02, 12.0, 0.05)}
 #: The gripper's joint, and its axis, from shut to open. The model's pads hold the block at `GRASP`.
 GRIPPER_RAD, GRIPPER_M, GRASP_RAD = (-0.1745, 1.7453), (-0.02, 0.02), 0.46
 PADS = ("fixed_jaw_pad", "moving_jaw_pad")
+#: By so much a motor stays behind its order: its damping over its stiffness.
+LEAD_S = 0.034
 #: In cycles of 1 ms: of inverse kinematics, and of a step of the model.
-IK_CYCLES, STEP_CYCLES = 5, 2
+IK_CYCLES, STEP_CYCLES = 6, 2
 #: An arm that is off and faster than this yields; then it stays where it is.
 REST_RAD_S = 0.05
 #: A real arm is asked so often, and ordered beyond its goal what it sags: up to so much (rad).
 REAL_HZ, SAG, MOST_SAG_RAD = 50, 0.05, 0.2
 
 
-def load() -> Any:
+def load(*, block: bool = True) -> Any:
     """Return the `MjModel`, with a site `grasp` between the jaws, whose x axis points out of them.
 
     Its motors lack an integral part, so gravity is compensated. A mesh holds a block by a point
@@ -60,6 +62,8 @@ def load() -> Any:
     middle = np.mean([data.geom(pad).xpos for pad in PADS], axis=0) - hand.xpos
     place = hand.xmat.reshape(3, 3).T @ middle
     spec.body("gripper").add_site(name="grasp", pos=place, quat=turn)
+    for part in () if block else (*spec.sensors, *spec.lights, spec.body("block")):
+        spec.delete(part)
     return spec.compile()
 
 
@@ -102,17 +106,16 @@ class So101:
     def __init__(self, port: str = "") -> None:
         self._port, self._error, self._ends = port, "", threading.Event()
         self._thread = threading.Thread(target=self._work, daemon=True)
-        # It measures no force: `force = "none"`, once there is such a thing, belongs here.
         self.capabilities = RobotCapabilities(
             name=f"SO-101 at {port}" if port else "SO-101, simulated",
             takes="position",
+            force="none",
             speed_m_s=0.2,
             half_width_m=0.12,
             more=tuple(
                 AxisCapabilities(name=name, half_range=half, force_limit=limit, speed=speed)
                 for name, (half, limit, speed) in MORE.items()
             ),
-            sources={} if port else {"front": "so101:FrontCamera"},
         )
 
     def configure(self) -> None:
@@ -125,10 +128,11 @@ class So101:
         self._seen = self._connected() if self._port else np.array([*HOME_RAD, *np.zeros(6)])
         self._data.qpos[ARM] = self._seen[ARM]
         mujoco.mj_forward(self._model, self._data)
-        self._ik = mink.Configuration(self._model)
+        self._ik = mink.Configuration(load(block=False))
         # The tip is exact; where the wrist cannot bend so far, the jaws do not point down.
         self._task = mink.FrameTask("grasp", "site", 1.0, [0.1, 0.01, 0.01], lm_damping=1e-4)
         self._shown, self._cycle = shown(self._model.nq), 0
+        self._look()
         self.deactivate()
         if self._port:
             self._thread.start()
@@ -141,9 +145,9 @@ class So101:
 
     def deactivate(self) -> None:
         """Stay where it is."""
-        self._active, (self._wanted, _) = False, self._measured()
-        self._ik.update(self._data.qpos.copy())
+        self._active, self._wanted = False, list(self._places)
         self._data.ctrl[:] = self._data.qpos[ARM]
+        self._ik.update(self._data.ctrl.copy())
 
     def power_off(self) -> None:
         self.deactivate()
@@ -169,40 +173,42 @@ class So101:
             self._mujoco.mj_forward(self._model, self._data)
         if not self._port and self._cycle % STEP_CYCLES:
             self._mujoco.mj_step(self._model, self._data)
-        self._shown[:] = self._data.qpos
+        self._look()
 
     def read(self) -> RobotReading:
-        places, speeds = self._measured()
-        values = self._data.qpos[ARM].tolist(), self._data.qfrc_actuator[ARM].tolist()
-        joints = tuple(map(JointReading, *values))
-        return RobotReading(*places[:2], *speeds[:2], error=self._error, joints=joints)
+        joints = tuple(map(JointReading, self._shown[ARM].tolist(), self._torques))
+        plane = *self._places[:2], *self._speeds[:2]
+        return RobotReading(*plane, error=self._error, joints=joints)
 
     def read_more(self) -> list[AxisReading]:
-        places, speeds = self._measured()
-        return list(map(AxisReading, places[2:], speeds[2:]))
+        return list(map(AxisReading, self._places[2:], self._speeds[2:]))
 
-    def _measured(self) -> tuple[list[float], list[float]]:
-        """Places and speeds of all axes."""
+    def _look(self) -> None:
+        """Measure all axes and joints."""
         data, moves, site = self._data, np.zeros(6), self._mujoco.mjtObj.mjOBJ_SITE
         self._mujoco.mj_objectVelocity(self._model, data, site, self._site, moves, 0)
-        jaws = data.site_xmat[self._site].reshape(3, 3)[:, 2]
-        tip_m = np.roll(data.site_xpos[self._site], -1) - MIDDLE_M
-        gripper_m = np.interp(data.qpos[5], GRIPPER_RAD, GRIPPER_M)
-        speed_m_s = data.qvel[5] * np.ptp(GRIPPER_M) / np.ptp(GRIPPER_RAD)
-        places = [*tip_m, np.arctan2(-jaws[0], jaws[1]), gripper_m]
-        return places, [*np.roll(moves[3:], -1), moves[2], speed_m_s]
+        jaws, tip = data.site_xmat[self._site][2::3], data.site_xpos[self._site]
+        across, along, up = (tip - MIDDLE_M).tolist()
+        roll = np.arctan2(-jaws[0], jaws[1])
+        opening = np.interp(data.qpos[5], GRIPPER_RAD, GRIPPER_M)
+        self._places = [along, up, across, roll, opening]
+        gear = (GRIPPER_M[1] - GRIPPER_M[0]) / (GRIPPER_RAD[1] - GRIPPER_RAD[0])
+        self._speeds = [moves[4], moves[5], moves[3], moves[2], gear * data.qvel[5]]
+        self._torques = data.qfrc_actuator[ARM].tolist()
+        self._shown[:] = data.qpos
 
     def _solve(self) -> None:
         """Make a step towards the wanted place, and order it of the joints."""
-        mink, (*tip_m, roll, gripper_m) = self._mink, self._wanted
+        mink, (along, up, across, roll, opening) = self._mink, self._wanted
         down, jaws = np.array([0.0, 0.0, -1.0]), np.array([-np.sin(roll), np.cos(roll), 0.0])
         turn = mink.SO3.from_matrix(np.stack([down, np.cross(jaws, down), jaws], axis=1))
-        place_m = np.roll(np.array(tip_m) + MIDDLE_M, 1)
+        place_m = MIDDLE_M + np.array([across, along, up])
         self._task.set_target(mink.SE3.from_rotation_and_translation(turn, place_m))
         dt_s = IK_CYCLES / 1000
         speeds = mink.solve_ik(self._ik, [self._task], dt_s, "daqp", damping=1e-6)
         self._ik.integrate_inplace(speeds, dt_s)
-        self._data.ctrl[:] = *self._ik.q[:5], np.interp(gripper_m, GRIPPER_M, GRIPPER_RAD)
+        arm = self._ik.q[:5] + LEAD_S * speeds[:5]
+        self._data.ctrl[:] = *arm, np.interp(opening, GRIPPER_M, GRIPPER_RAD)
 
     def _connected(self) -> Any:
         """Connect to a real arm by `lerobot`; return angles and speeds of its joints."""
