@@ -89,6 +89,8 @@ class FrontCamera(SceneVideo):
 
         self._mujoco, self._model = mujoco, load()
         self._model.vis.global_.offwidth, self._model.vis.global_.offheight = width, height
+        # A picture with shadows takes 0.7 s.
+        self._model.vis.quality.shadowsize = self._model.vis.quality.offsamples = 0
         self._data, self._places = mujoco.MjData(self._model), shown(self._model.nq)
         self._renderer: Any = mujoco.Renderer(self._model, height, width)
 

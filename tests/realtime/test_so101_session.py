@@ -20,6 +20,7 @@ SAMPLE = Path(__file__).resolve().parents[2] / "samples/so101_robot"
 #: An old picture holds no robot here: how busy the machine is is another test's.
 PATIENT = "\n[safety]\npicture_max_age_s = 100\npicture_hold_s = 100\n"
 TICK_S, SPEED, NEAR = 0.04, np.array([0.08, 0.08, 0.08, 0.5, 0.04]), 0.004
+STILL = np.zeros(5)
 UP, DOWN, GRIP = 0.0, -0.080, 0.025
 
 
@@ -30,34 +31,39 @@ class Keys:
         self._page, self._half, self._robot = page, np.array(half), robot
         self._shares, self._sequence = np.zeros(5), 0
 
-    async def tick(self, ways, *, dead_man=True):
-        """Press for a tick, and send what the page then sends."""
-        self._shares = np.clip(
-            self._shares + np.clip(ways, -SPEED, SPEED) * TICK_S / self._half, -1, 1
-        )
+    async def send(self, ways=STILL, *, dead_man=True):
+        """What the page sends for these keys in a tick."""
+        way = np.clip(ways, -SPEED, SPEED) * TICK_S
+        self._shares = np.clip(self._shares + way / self._half, -1, 1)
         self._sequence += 1
         x, y, *more = self._shares.tolist()
         octets = hand(self._sequence, dead_man=dead_man, x=x, y=y) + struct.pack("<3f", *more)
         await self._page.ws.send_bytes(octets)
         await asyncio.sleep(TICK_S)
+
+    async def tick(self, ways=STILL):
+        """Press keys for a tick; return where the axes are."""
+        await self.send(ways)
         self._robot.latest()
         state = self._robot.newest
         assert not state.fault, state.fault
-        if dead_man and (state.waiting or state.hold):
-            # A late machine let go: press anew.
-            for released in (True, True, False, False, False):
-                await self.tick(np.zeros(5), dead_man=not released)
+        if state.waiting:
+            # At first, and when a late machine let go: press anew.
+            for number in range(20):
+                await self.send(dead_man=number > 8)
         return np.array([state.x_m, state.y_m, *(place for _, place, _ in state.axes)])
 
     async def go(self, *goal):
         """Lead x, y, z and roll there."""
-        at = await self.tick(np.zeros(5))
+        at = await self.tick()
         while (miss := np.array([*goal, 0.0, at[4]]) - at)[np.abs(miss) > NEAR].size:
             at = await self.tick(2.0 * miss)
 
     async def grip(self, way):
         for _ in range(round(abs(way) / SPEED[4] / TICK_S)):
             await self.tick(np.array([0.0, 0.0, 0.0, 0.0, way]))
+        for _ in range(25):
+            await self.tick()
 
 
 async def pick_and_place(session, robot, block):
@@ -67,8 +73,6 @@ async def pick_and_place(session, robot, block):
         assert (await page.ask("hand", action="take"))["ok"]
         reads = asyncio.create_task(page.close_code())
         keys = Keys(page, half, robot)
-        for _ in range(5):
-            await keys.tick(np.zeros(5), dead_man=False)
         await keys.go(0.0, UP, 0.075)
         await keys.go(0.0, DOWN, 0.075)
         await keys.grip(-GRIP)
@@ -84,7 +88,7 @@ async def pick_and_place(session, robot, block):
 
 def test_keys_at_a_page_pick_the_block_up_and_put_it_down(start, tmp_path, monkeypatch):
     shutil.copy(SAMPLE / "so101.py", tmp_path)
-    setup = (SAMPLE / "so101.toml").read_text() + PATIENT
+    setup = (SAMPLE / "so101.toml").read_text().replace("fps = 10", "fps = 5") + PATIENT
     options = ("--robot", "so101:So101", "--joystick", "page", "--page", str(tcp_port()))
     session = start(setup, *options)
     session.wait_for_flow(["uplink_video"])
