@@ -137,7 +137,7 @@ class Arm:
             self._holds, self._gave = False, _BACK
         elif self._gave:
             self._gave = self._gave - 1 if apart_m < _AWAY_M else 0
-        elif apart_m < _NEAR_M and self._kind == FOLLOW:
+        elif apart_m < _NEAR_M:
             self._holds = True
 
     @property

@@ -23,7 +23,7 @@ HOME_RAD, ARM = (0.0, -0.1, -0.2, 1.65, 1.57, 1.2), slice(0, 6)
 #: The model's x, y and z are z, x and y of the session: towards its camera, right, and up.
 MIDDLE_M = np.array([0.225, 0.0, 0.11])
 #: By axis behind x and y: half its range, force limit and speed (m, N, m/s; rad, N m, rad/s).
-MORE = {"z": (0.075, 12.0, 0.2), "roll": (1.2, 0.8, 1.5), "gripper": (0.02, 12.0, 0.05)}
+MORE = {"z": (0.09, 12.0, 0.2), "roll": (1.2, 0.8, 1.5), "gripper": (0.02, 12.0, 0.05)}
 #: The gripper's joint, and its axis, from shut to open. The model's pads hold the block at `GRASP`.
 GRIPPER_RAD, GRIPPER_M, GRASP_RAD = (-0.1745, 1.7453), (-0.02, 0.02), 0.46
 PADS = ("fixed_jaw_pad", "moving_jaw_pad")

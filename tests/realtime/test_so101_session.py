@@ -61,7 +61,7 @@ class Keys:
 
     async def grip(self, way):
         for _ in range(round(abs(way) / SPEED[4] / TICK_S)):
-            await self.tick(np.array([0.0, 0.0, 0.0, 0.0, way]))
+            await self.tick(np.array([0.0, 0.0, 0.0, 0.0, np.sign(way)]))
         for _ in range(25):
             await self.tick()
 
