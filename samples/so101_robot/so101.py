@@ -14,8 +14,13 @@ from kontur_av import ConfigError
 from kontur_av.clock import Clock
 from kontur_av.media import I420
 from kontur_av.sources import SceneVideo
-from telepresence import JointReading, RobotCapabilities, RobotReading
-from telepresence.haptics.axes import AxisCapabilities, AxisReading
+from telepresence import (
+    AxisCapabilities,
+    AxisReading,
+    JointReading,
+    RobotCapabilities,
+    RobotReading,
+)
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 #: At first (rad): over the block, jaws down and open. In the model the arm's joints come first.
