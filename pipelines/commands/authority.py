@@ -17,7 +17,7 @@ _TIMEOUT_S = 5.0
 _LOOK_S = 0.1
 _MISSING = (
     "no session here lets a partner drive the robot: "
-    'give its setup partner_arm = "shared" (docs/rtc.md)'
+    'give its setup partner_arm = "shared" (docs/webrtc.md)'
 )
 
 

@@ -1,7 +1,7 @@
 """Who drives what: the robot's haptic port one joystick, and the joystick one robot; never two.
 
 Stelzer et al. 2017, section 7: a gateway application lets the partner institute steer the robot in
-the place of the ISS. Here that is one explicit state at the robot; docs/rtc.md has its rules. In
+the place of the ISS. Here that is one explicit state at the robot; docs/webrtc.md has its rules. In
 each cycle: ask `takes` for each datagram, then call `handle_robot`.
 
 In the partner institute's experiments the data goes directly between space and its own task board.
@@ -47,7 +47,7 @@ class AuthorityEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuthorityMetrics:
-    """Who drives the robot, where a partner may, too (docs/rtc.md)."""
+    """Who drives the robot, where a partner may, too (docs/webrtc.md)."""
 
     #: `operator` or `partner`; null: nobody.
     authority: Newest[Authority] | None
