@@ -234,7 +234,8 @@ class RobotEnd(_End[RobotSide]):
                 holds=robot.holds,
             )
             if changed and robot.contact:
-                lit = state.lit
+                # A user's robot touches things of its own, not the LEDs of the board.
+                lit = self.side.lit
                 self._contacts.add(ContactRow(now_ns, -1 if lit is None else lit))
         if self.trace.rows is not None:
             self._add_row(now_ns)

@@ -29,6 +29,7 @@ from telepresence.haptics.pacing import (
     OTHERS_HZ,
     lasts_ns,
 )
+from telepresence.haptics.robot import Mark
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.link import arithmetic
 from telepresence.link.flows import Level
@@ -279,6 +280,8 @@ class Setup:
     tasks: a live session has tasks, which people select and do (docs/ground-control.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
     playback: where the operator in space, and the ground, hear the voice.
+    marks: what stands in the robot's workspace, by name, for the maps of the pages. With any, or
+        with a robot of one's own, they show these instead of the built-in task board.
     recorded_cameras: which cameras a recording has beside the streams: at 5 Hz while no stream
         carries them, or all at their full rate (docs/recordings.md).
     region: what of the uplink video is coded finer where no person says: the robot's tip
@@ -322,6 +325,10 @@ class Setup:
     partner_arm: PartnerArm = "none"
     tasks: bool = False
     safety: SafetyLimits = field(default_factory=SafetyLimits)
+    marks: Mapping[str, Mark] = field(
+        default_factory=dict,
+        metadata={"like": "a table of tables, like bin = {x_m = 0.1, y_m = 0.02}"},
+    )
     playback: Playback = field(default_factory=Playback)
     recorded_cameras: RecordedCameras = "idle"
     region: RegionChoice = "off"
