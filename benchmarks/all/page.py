@@ -13,7 +13,7 @@ _HEAD = """# Measurements
 For whoever asks for figures: what was measured, with which command, on which code?
 
 `python -m benchmarks all` wrote this page from the JSON files in `{folder}`, which have all other
-figures. A figure is the median of its runs, with the least and the largest in brackets if they differ.
+figures. A figure is the median of its runs, with least and largest in brackets where they differ.
 """
 #: By measurement: figures without a target that are on the page; of others, all if none has one.
 _SHOWN = {
