@@ -29,6 +29,7 @@ from telepresence.haptics.pacing import (
     OTHERS_HZ,
     lasts_ns,
 )
+from telepresence.haptics.robot import Mark
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.link import arithmetic
 from telepresence.link.flows import Level
@@ -278,6 +279,8 @@ class Setup:
     partner_arm: what a partner's joystick may drive (docs/webrtc.md).
     tasks: a live session has tasks, which people select and do (docs/ground-control.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
+    marks: what stands in the robot's workspace, by name, for the maps of the pages. With any, or
+        with a robot of one's own, they show these instead of the built-in task board.
     playback: where the operator in space, and the ground, hear the voice.
     recorded_cameras: which cameras a recording has beside the streams: at 5 Hz while no stream
         carries them, or all at their full rate (docs/recordings.md).
@@ -322,6 +325,10 @@ class Setup:
     partner_arm: PartnerArm = "none"
     tasks: bool = False
     safety: SafetyLimits = field(default_factory=SafetyLimits)
+    marks: Mapping[str, Mark] = field(
+        default_factory=dict,
+        metadata={"like": "a table of tables, like bin = {x_m = 0.1, y_m = 0.02}"},
+    )
     playback: Playback = field(default_factory=Playback)
     recorded_cameras: RecordedCameras = "idle"
     region: RegionChoice = "off"
@@ -430,11 +437,6 @@ class Setup:
         """Give both directions an insert zone for a sample of all axes."""
         if not self.more_axes:
             return
-        if self.partner_arm == "board":
-            raise ConfigError(
-                "partner_arm board: a partner's robot has x and y only, so take "
-                'partner_arm = "none", "shared" or "second" with more axes'
-            )
         octets = sample_octets(len(self.more_axes))
         for name in ("uplink", "downlink"):
             profile: LinkProfile = getattr(self, name)
