@@ -3,7 +3,7 @@
 import inspect
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.streams.paced_sender import SenderCounts
@@ -110,6 +110,7 @@ EXPLAINED: tuple[type, ...] = (
 def report_keys() -> str:
     """The keys of a session's report, by their place in it."""
     said: set[tuple[str, str]] = set()
+    placed = {place.partition(".")[0] for place in _places(SessionReport).values()}
     parts = []
     for kind, place in _places(SessionReport).items():
         title = f"**`{place}`**: {_summary(kind)}" if place else f"{_summary(kind)}"
@@ -117,7 +118,9 @@ def report_keys() -> str:
             # Of `report join` alone.
             continue
         if kind in EXPLAINED:
-            parts.append("\n".join([title + "\n", *_explained(kind, said)]))
+            # What has a place of its own is explained there.
+            without = placed if kind is SessionReport else set()
+            parts.append("\n".join([title + "\n", *_explained(kind, said, without)]))
         elif names := [f"`{key}`" for key, _, _ in _rows(kind)]:
             parts.append(f"{title} {', '.join(names)}")
     return "\n\n".join(parts) + "\n"
@@ -133,9 +136,9 @@ def counts() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _explained(kind: type, said: set[tuple[str, str]]) -> Iterator[str]:
+def _explained(kind: type, said: set[tuple[str, str]], without: Container[str]) -> Iterator[str]:
     """An item for each key; those that were explained before, or need no words, share one."""
-    rows = list(_rows(kind))
+    rows = [row for row in _rows(kind) if row[0] not in without]
     of_all = {row[:2] for row in rows} - {
         row[:2] for row in rows if [other[:2] for other in rows].count(row[:2]) == 1 and row[2]
     }

@@ -223,7 +223,7 @@ class RobotEnd(_End[RobotSide]):
                 self._touched_ns = now_ns
         self._cycles += 1
         if changed or self._cycles % _PUBLISH_EVERY == 0:
-            self._state = state = WorldState(
+            self._state = WorldState(
                 now_ns,
                 robot.x_m,
                 robot.y_m,
@@ -317,11 +317,13 @@ class JoystickEnd(_End[JoystickSide]):
         if russian is not session.for_partner:
             self._link.begin_anew(for_partner=russian)
             self._leaves = True
-        if self._leaves and not self.side.force_x_n and not self.side.force_y_n:
+        axes = self.side.axes
+        forces = [axis.force_n for axis in axes.axes] if axes else []
+        if self._leaves and not any((self.side.force_x_n, self.side.force_y_n, *forces)):
             # Not before: the force of the last cycle is still to be paid for.
             self._leaves = False
-            port = self.side.controller.port
-            port.discard_credit(max(0.0, port.credit_j))
+            for each in (self.side.controller, *(axes.controllers if axes else ())):
+                each.port.discard_credit(max(0.0, each.port.credit_j))
         operation.partner = self._link.hearing and (russian or session.partner_there)
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:

@@ -279,9 +279,9 @@ class Setup:
     partner_arm: what a partner's joystick may drive (docs/webrtc.md).
     tasks: a live session has tasks, which people select and do (docs/ground-control.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
-    playback: where the operator in space, and the ground, hear the voice.
     marks: what stands in the robot's workspace, by name, for the maps of the pages. With any, or
         with a robot of one's own, they show these instead of the built-in task board.
+    playback: where the operator in space, and the ground, hear the voice.
     recorded_cameras: which cameras a recording has beside the streams: at 5 Hz while no stream
         carries them, or all at their full rate (docs/recordings.md).
     region: what of the uplink video is coded finer where no person says: the robot's tip
@@ -437,11 +437,6 @@ class Setup:
         """Give both directions an insert zone for a sample of all axes."""
         if not self.more_axes:
             return
-        if self.partner_arm == "board":
-            raise ConfigError(
-                "partner_arm board: a partner's robot has x and y only, so take "
-                'partner_arm = "none", "shared" or "second" with more axes'
-            )
         octets = sample_octets(len(self.more_axes))
         for name in ("uplink", "downlink"):
             profile: LinkProfile = getattr(self, name)
