@@ -36,11 +36,17 @@ class HandleAuthority:
     def __init__(self) -> None:
         self.state = HandleState()
         self._pages: dict[int, str] = {}
+        self._yields: set[int] = set()
         self._shown = self.state
 
-    def handle_joined(self, page: int, name: str) -> None:
-        """A page has come that may hold the handle. name: who sits there, for others' refusals."""
+    def handle_joined(self, page: int, name: str, *, yields: bool = False) -> None:
+        """A page has come that may hold the handle. name: who sits there, for others' refusals.
+
+        yields: it is a policy, from which a person takes the handle without asking.
+        """
         self._pages[page] = name
+        if yields:
+            self._yields.add(page)
 
     def name(self, page: int | None) -> str:
         """Return who sits at a page; "" of no page, or of one that is unknown here."""
@@ -62,7 +68,7 @@ class HandleAuthority:
         holder = self.state.holder
         if holder == page:
             return ""
-        if holder is not None:
+        if holder is not None and holder not in self._yields:
             return f"take: {self.name(holder)} has the handle: ask for it"
         self.state = HandleState(page)
         return ""
@@ -70,7 +76,7 @@ class HandleAuthority:
     def handle_ask(self, page: int) -> str:
         """The page asks the holder for the handle; it takes a free one."""
         holder, wanted_by = self.state
-        if page not in self._pages or holder is None or holder == page:
+        if page not in self._pages or holder in (None, page) or holder in self._yields:
             return self.handle_take(page)
         if wanted_by not in (None, page):
             return f"ask: {self.name(wanted_by)} has asked before"
@@ -82,6 +88,16 @@ class HandleAuthority:
         if page != self.state.holder:
             return "give: this page does not hold the handle"
         self.state = HandleState(self.state.wanted_by)
+        return ""
+
+    def handle_let(self, page: int | None, policy: int) -> str:
+        """A person hands over to a policy; page: where, None: by a telecommand."""
+        holder = self.state.holder
+        if holder not in (None, page, policy):
+            return f"policy: {self.name(holder)} has the handle: ask for it"
+        if page is not None and page not in self._pages:
+            return "policy: this page may watch only"
+        self.state = HandleState(policy)
         return ""
 
     def handle_refuse(self, page: int) -> str:

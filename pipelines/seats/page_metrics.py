@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from kontur_av.metrics import Newest
+from telepresence.haptics.authority import AuthorityEvent
 
 #: Name of the figure that tells ground control which page holds the handle.
 HOLDER = "hand.holder"
@@ -33,3 +34,11 @@ class PageMetrics:
     watching: Newest[int] = 0
     #: Number of the page that holds the handle; 0: nobody does.
     holder: Newest[int] = 0
+    #: Who has the handle, a person or a policy; empty: nobody.
+    driver: Newest[str] = ""
+    #: Turns of policies at the handle.
+    policy_turns: int = 0
+    #: Messages of a second policy's program.
+    policies_refused: int = 0
+    #: Who drove, and why a policy let go: the newest 50.
+    drivers: Newest[tuple[AuthorityEvent, ...]] = ()

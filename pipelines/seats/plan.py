@@ -36,6 +36,7 @@ from pipelines.session.topology.topics import (
 )
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
+from telepresence.haptics.device.policy import PolicyAxis, policy_axes
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_controller import RobotControllerModel
 from telepresence.link.gateway import Backlog
@@ -92,6 +93,7 @@ class SeatPlan:
     previews: topics with the small pictures of inputs, by their numbers in messages.
     shown: what processes of the mission show here: by kind of text, the topic.
     orders: whether its pages may start and stop the session; in space only if it runs here whole.
+    axes: of the robot, as a policy has them.
     """
 
     segment: Segment
@@ -103,6 +105,7 @@ class SeatPlan:
     text: texts.SeatText
     dictionary: Dictionary
     orders: bool
+    axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
     @property
@@ -172,6 +175,7 @@ def seat_plan(
         dictionary=dictionary,
         shown={kind: topic for kind, topic in _SHOWN[segment].items() if topic in written},
         orders=ground or len(topology.segments) > 1,
+        axes=policy_axes(setup.axes, setup.more_axes),
         text=text,
     )
 

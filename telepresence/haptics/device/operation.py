@@ -73,6 +73,8 @@ class JoystickOperation:
     test: the newest functional test.
     experiment: of the present or the next application. partner: whether a partner's robot is there,
     which the caller sets; None: there can be none.
+    policy, driver: of a joystick that pages move, which the caller sets: the policy that may drive,
+    and who has the handle. policy is None of any other. handed: as `JoystickStatus` has it.
     """
 
     def __init__(
@@ -94,6 +96,9 @@ class JoystickOperation:
         self.released = 0
         self.experiment = ExperimentName.GERMAN
         self.partner: bool | None = None
+        self.policy: str | None = None
+        self.driver = ""
+        self.handed = (0, "")
         self.test = TestReport()
         self._automatic = automatic
         self._hands_off = hands_off
@@ -205,6 +210,7 @@ class JoystickOperation:
         resume: it goes on by itself.
         calibrate: from halted, it resumes first. A pause stays.
         test: where it is calibrated, so that a person stops it first. A pause stays.
+        policy, person: the pages' seat hands over.
         by: who gives it, in words.
         """
         if event is JoystickEvent.START_RUSSIAN:
@@ -213,7 +219,20 @@ class JoystickOperation:
             return self._start(ExperimentName.RUSSIAN, now_ns)
         if event is JoystickEvent.START:
             return self._start(ExperimentName.GERMAN, now_ns)
+        if event in (JoystickEvent.POLICY, JoystickEvent.PERSON):
+            return self._hand_over(event)
         return self._command(event, now_ns, by)
+
+    def _hand_over(self, event: JoystickEvent) -> str:
+        to_policy = event is JoystickEvent.POLICY
+        if self.policy is None:
+            return f"{event.value}: no page moves this joystick: it needs --joystick page"
+        if to_policy and not self.policy:
+            return f"{event.value}: no policy is there that may drive"
+        if to_policy and self.driver:
+            return f"{event.value}: {self.driver} has the handle"
+        self.handed = (self.handed[0] + 1, event.value)
+        return ""
 
     def choose(self, experiment: ExperimentName) -> None:
         """The application, the present one or the next, is of this experiment."""
