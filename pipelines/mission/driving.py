@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 _OPENING_NS = 5 * NS_PER_S
 _LOOK_NS = 10 * NS_PER_MS
-_LEAST_KEEP_NS, _MOST_KEEP_NS = 100 * NS_PER_MS, NS_PER_S
+#: A newest action counts for so long, as a hand's newest command does (`hand_max_age_s`).
+_LEAST_KEEP_NS, _MOST_KEEP_NS = 500 * NS_PER_MS, NS_PER_S
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

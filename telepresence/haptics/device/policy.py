@@ -108,7 +108,7 @@ class PolicyMessage(NamedTuple):
     seen_ns: int
     times_ns: tuple[int, ...] = ()
     places: tuple[Place, ...] = ()
-    keep_ns: int = 100 * NS_PER_MS
+    keep_ns: int = 500 * NS_PER_MS
     picture_ns: int = NO_PICTURE
     shadow: bool = False
     fault: str = ""
@@ -123,7 +123,7 @@ class PolicyMessage(NamedTuple):
             and all(isfinite(value) for value in (*self.seen, *wanted))
             and all(at < now_ns + 2 * MOST_AHEAD_S * NS_PER_S for at in self.times_ns)
             and list(self.times_ns) == sorted({*self.times_ns})
-            and 0 <= self.keep_ns <= NS_PER_S
+            and 0 <= self.keep_ns <= MOST_AHEAD_S * NS_PER_S
         )
 
     @property
@@ -185,6 +185,7 @@ class PolicyHand:
     """The hand of a policy: call `poll` every 10 ms, and pass what it returns to the joystick.
 
     name: of the policy. turn: it has the handle. pressed: it presses the dead-man button.
+    late: presses that were repeated, because inputs came too late for the device.
     ended: why its newest turn ended, in one line. wanted: where it wants the robot, also while it
     has no turn; empty: nowhere.
     """
@@ -192,7 +193,7 @@ class PolicyHand:
     def __init__(self, axes: Sequence[PolicyAxis]) -> None:
         self.axes = tuple(axes)
         self.turn = self.pressed = False
-        self.ended = ""
+        self.ended, self.late = "", 0
         self.wanted: Place = ()
         self._message: PolicyMessage | None = None
         self._held: HeldState | None = None
@@ -272,7 +273,9 @@ class PolicyHand:
         if self._told_ns <= self._pressed_ns:
             return ""
         if self._holds and not held.dead_man:
-            return "the joystick let the handle go"
+            # Our own process was late, and the device let go: hold, and press anew from there.
+            self.pressed, self._began_ns, self.late = False, now_ns, self.late + 1
+            return ""
         if self._follows and held.waits:
             return "the robot was interrupted"
         self._holds = self._holds or held.dead_man

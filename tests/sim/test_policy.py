@@ -1,0 +1,177 @@
+"""A policy at the handle on virtual time: seat, page's joystick, channel and robot."""
+
+import json
+import struct
+from itertools import count
+
+import numpy as np
+import pytest
+from haptic_pair import MS, HapticPair
+
+from kontur_av.returned import PartError
+from pipelines.hand.hand_topics import DriverState
+from pipelines.hand.robot_commands import JoystickStatusTeller
+from pipelines.seats.plan import seat_plan
+from pipelines.seats.seat import Seat
+from pipelines.session.access import Role
+from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.table import topology_of
+from telepresence.haptics.bilateral import JoystickSide, RobotSide
+from telepresence.haptics.device.handle import OperatedHandle
+from telepresence.haptics.device.page import PageDevice, PageInput
+from telepresence.haptics.device.policy import ActionChunk, PolicyMessage, taken_action
+from telepresence.haptics.device.states import JoystickEvent
+from telepresence.haptics.envelope import SafetyEnvelope
+from telepresence.haptics.loop import joystick_link, robot_link
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+
+PLAN = seat_plan(
+    topology_of(BUILT_IN["taskboard"], pages=True), Segment.SPACE, "s-1", built_in_dictionary()
+)
+
+
+class Session(HapticPair):
+    """A seat with a page, a policy that says `place`, and what comes of it at the robot."""
+
+    def __init__(self):
+        self.handle = OperatedHandle(PageDevice())
+        self.envelope = SafetyEnvelope()
+        super().__init__(
+            JoystickSide(link=joystick_link(boot_id=1), handle=self.handle),
+            RobotSide(link=robot_link(boot_id=2), envelope=self.envelope),
+            delay_ms=20,
+        )
+        self.teller = JoystickStatusTeller(self.handle)
+        self.teller.handle_watched(True)
+        self.seat = Seat(PLAN, first_command=1)
+        self.page = self.seat.handle_opened(Role.OPERATOR, 0)
+        self.numbers, self.hand, self.place = count(1), None, (None, None)
+        self.shadow, self.driver = False, DriverState()
+        self.run(4000)
+
+    def step(self):
+        now_ns, seat = self.now_ns, self.seat
+        if self.place and now_ns % (30 * MS) == 0:
+            seen = self.robot.x_m, self.robot.y_m
+            asked = PolicyMessage("reach", seen, now_ns, (now_ns,), (self.place,))
+            seat.handle_policy(asked._replace(shadow=self.shadow), now_ns)
+        if now_ns % (10 * MS) == 0:
+            if (status := self.teller.poll_status(now_ns)) is not None:
+                seat.handle_status(status, now_ns)
+            if self.hand:
+                row = struct.pack("<BBHIffd", 0x82, 1, 0, next(self.numbers), *self.hand, -1.0)
+                seat.handle_message(self.page, row, now_ns)
+            seat.handle_policy_time(now_ns)
+        while (event := seat.next_event()) is not None:
+            if isinstance(event, PageInput):
+                self.handle.device.handle_input(event, now_ns - event.received_ns)
+            elif isinstance(event, DriverState):
+                self.driver = event
+        self.handle.handle_feedback(self.space.link.latest(now_ns))
+        super().step()
+
+    def ask(self, action):
+        """Ask for the handle at the page; return why it is refused."""
+        words = json.dumps({"request": 1, "do": "hand", "action": action})
+        self.seat.handle_text(self.page, words, self.now_ns)
+        sent = iter(lambda: self.seat.poll_transmit(self.page), None)
+        texts = [json.loads(text) for text in sent if isinstance(text, str)]
+        return next(text["error"] for text in texts if text["kind"] == "answer")
+
+    def at(self):
+        return pytest.approx((self.robot.x_m, self.robot.y_m), abs=0.003)
+
+
+def test_it_reaches_and_any_person_takes_over_from_where_the_robot_is():
+    session = Session()
+    session.place = (0.04, -0.03)
+    session.run(1000)
+    # Recorded, not obeyed: nobody has handed over.
+    assert session.at() == (0.0, 0.0) and session.driver.wanted == (0.04, -0.03)
+    # Each press begins where the robot is: no offset adds up.
+    for place in ((0.04, -0.03), (-0.05, 0.02), (0.0, -0.04)):
+        session.place = place
+        assert session.ask("policy") == ""
+        session.run(2500)
+        assert session.at() == place and session.driver.pressed
+        assert session.ask("take") == ""
+        session.run(300)
+        assert session.at() == place and session.driver.who == "operator"
+    session.hand = (0.5, 0.5)
+    session.run(1000)
+    assert session.at() == (0.0, -0.04)
+    session.hand = (0.7, 0.5)
+    session.run(1000)
+    assert session.at() == (0.2 * 0.15, -0.04)
+    # Who has it hands over, also by a telecommand once it is free.
+    assert session.handle.handle_command(JoystickEvent.POLICY).endswith("--joystick page")
+    session.hand, session.place = None, (0.0, 0.0)
+    assert session.ask("give") == ""
+    session.handle.operation.policy = session.driver.policy
+    assert session.handle.handle_command(JoystickEvent.POLICY) == ""
+    session.run(2500)
+    assert session.at() == (0.0, 0.0) and session.seat.policy.turns == 4
+    assert session.handle.handle_command(JoystickEvent.PERSON) == ""
+    session.run(300)
+    assert (session.driver.who, session.driver.drives) == ("", False)
+
+
+@pytest.mark.parametrize("cause", ["silent", "emergency stop", "halt", "cut"])
+def test_after_an_interruption_nothing_moves_before_a_person_hands_over(cause):
+    session = Session()
+    session.place = (0.09, 0.0)
+    assert session.ask("policy") == ""
+    session.run(600)
+    if cause == "silent":
+        session.place = ()
+        session.run(500)
+        rests = session.robot.x_m
+        session.place = (-0.05, 0.0)
+    else:
+        session.cut = cause == "cut"
+        if cause == "halt":
+            session.handle.handle_command(JoystickEvent.HALT)
+        elif cause == "emergency stop":
+            session.envelope.handle_stop(session.now_ns)
+        session.run(1000)
+        session.place, session.cut, rests = (-0.05, 0.0), False, session.robot.x_m
+        session.envelope.handle_stop_released(session.now_ns)
+        session.handle.handle_command(JoystickEvent.START)
+    session.run(3000)
+    assert abs(session.robot.x_m - rests) < 0.005
+    assert not session.driver.drives and session.driver.ended
+    assert session.ask("policy") == ""
+    session.run(2500)
+    assert session.at() == (-0.05, 0.0)
+
+
+def test_a_shadow_is_recorded_and_never_obeyed():
+    session = Session()
+    session.shadow, session.place = True, (0.05, 0.0)
+    session.run(100)
+    assert session.ask("policy") == "policy: it only watches"
+    assert session.driver.wanted == (0.05, 0.0) and not session.driver.drives
+
+
+@pytest.mark.parametrize(
+    ("returned", "words"),
+    [
+        ([1.0], "give a number for each"),
+        ({"yaw": 0.1}, "yaw: the axes are x, y"),
+        ([float("nan"), 0.0], "x = nan"),
+        ("far", "step()"),
+        (ActionChunk([[0, 0], [1, 1]], [0.1, 0.1]), "growing times"),
+        (object(), "step()"),
+    ],
+)
+def test_nonsense_of_a_policy_is_named_in_one_line(returned, words):
+    with pytest.raises(PartError) as refused:
+        taken_action(returned, ("x", "y"), 0.1)
+    assert words in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_actions_may_be_numpys_and_a_chunk_has_its_times():
+    chunk = taken_action(np.float32([[0.5, 0.25], [1, 1]]), ("x", "y"), 0.1)
+    assert chunk == [(0.0, (0.5, 0.25)), (0.1, (1.0, 1.0))]
+    assert taken_action({"y": np.int64(1)}, ("x", "y"), 0.1) == [(0.0, (None, 1.0))]
