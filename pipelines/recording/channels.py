@@ -12,10 +12,12 @@ from mcap.records import Channel, Schema
 
 from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY
 from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.hand.hand_topics import DRIVER_TOPIC, DriverState
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, HapticBlock
 from pipelines.link.link_metrics import gateway_topic
 from pipelines.recording.recorded_messages import (
     AUDIO,
+    DRIVER,
     EVENT,
     EXPERIMENT,
     HAPTIC_SAMPLES,
@@ -43,6 +45,7 @@ from pipelines.session.topic import AnyTopic, OpusPacket, PacketOctets
 from pipelines.session.topology.rows import Frames, Kind, VideoRow
 from pipelines.session.topology.table import Topology
 from pipelines.session.topology.topics import (
+    JOYSTICK,
     RTC_CAMERA,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
@@ -79,6 +82,7 @@ _SCHEMAS: Mapping[Any, tuple[MessageSchema, ...]] = {
     None: (VIDEO,),
     ExperimentShown: (EXPERIMENT,),
     LedsShown: (LED_PANEL,),
+    DriverState: (DRIVER,),
 }
 
 
@@ -201,6 +205,8 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
     for tasks, channel in ((MISSION_GROUND_TOPIC, "/experiment"), (MISSION_LEDS_TOPIC, "/leds")):
         if tasks in written:
             yield Source(tasks, channel[1:], {channel: f"{tasks.what}, at each change"})
+    if DRIVER_TOPIC in written & {*topology.reads(JOYSTICK)}:
+        yield Source(DRIVER_TOPIC, "driver", {"/driver": f"{DRIVER_TOPIC.what}, at each change"})
     # Last, because they are opened in this order, and these are the fastest.
     for haptic in topology.haptics:
         end = haptic.sender

@@ -1,9 +1,9 @@
 """A policy at the seat that has the handle: it joins the pages, and any of them takes it back."""
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 
-from kontur_av.clock import NS_PER_S
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.returned import one_line
 from pipelines.hand.hand_topics import DriverState, JoystickStatus
 from pipelines.seats.holders import HandleAuthority
@@ -20,8 +20,8 @@ class PolicyGuest:
     """The policy that is there, if any. A core; call `poll` every 10 ms while `present`.
 
     numbers: of the seat's pages; each policy that comes takes the next one.
-    events: who drove, and why a policy's turn ended. turns: of policies. refused: messages of a
-    second program while one is there.
+    events: who drove, and why a policy's turn ended. driven_ms: by person and policy, for how long.
+    turns: of policies. refused: messages of a second program while one is there.
     """
 
     def __init__(
@@ -34,6 +34,8 @@ class PolicyGuest:
         self._gone_ns = 0
         self._handed: int | None = None
         self.turns = self.refused = 0
+        self.driven_ms: Counter[str] = Counter()
+        self._polled_ns: int | None = None
         self.events: deque[AuthorityEvent] = deque(maxlen=50)
 
     @property
@@ -47,10 +49,15 @@ class PolicyGuest:
         return "" if self._shadow else self._name
 
     @property
+    def who(self) -> str:
+        """Who has the handle; "" for nobody."""
+        return self._ownership.name(self._ownership.state.holder)
+
+    @property
     def state(self) -> DriverState:
         hand = self._hand
         return DriverState(
-            who=self._ownership.name(self._ownership.state.holder),
+            who=self.who,
             policy=self.name,
             drives=hand.turn,
             pressed=hand.pressed,
@@ -114,6 +121,9 @@ class PolicyGuest:
     def poll(self, now_ns: int) -> tuple[int, PageInput] | None:
         """Return the policy's number and what its hand does, or None."""
         number, hand = self._number, self._hand
+        if self.who:
+            self.driven_ms[self.who] += (now_ns - (self._polled_ns or now_ns)) // NS_PER_MS
+        self._polled_ns = now_ns
         if number is None:
             return None
         turned = hand.turn

@@ -106,6 +106,7 @@ class PageServer:
             async with self._site.served("pipelines.seats", self._answer, self._sockets.close):
                 await self._serving.run()
         finally:
+            self._timer.cancel()
             self._topics.close()
 
     def _handle_time(self, now_ns: int) -> None:
@@ -127,7 +128,7 @@ class PageServer:
         self._seat.handle_policy_time(self._now_ns())
         self._settle()
         period_s = _POLICY_S if self._seat.policy.present else _DRIVER_S
-        self._serving.loop.call_later(period_s, self._policy_time)
+        self._timer = self._serving.loop.call_later(period_s, self._policy_time)
 
     def _watch(self) -> None:
         self._watched = self._seat.watched
@@ -235,7 +236,8 @@ class PageServer:
             PageMetrics(
                 watching=self._seat.watching,
                 holder=self._seat.holder or 0,
-                driver=self._seat.policy.state.who,
+                driver=self._seat.policy.who,
+                driven_ms=dict(self._seat.policy.driven_ms),
                 policy_turns=self._seat.policy.turns,
                 policies_refused=self._seat.policy.refused,
                 drivers=tuple(self._seat.policy.events),

@@ -19,6 +19,7 @@ from pipelines.recording.recorded_messages import (
     LogLevel,
     LogLine,
     QueueState,
+    RecordedDriver,
     RecordedEvent,
     RecordedExperiment,
     RecordedFigure,
@@ -90,6 +91,20 @@ VECTORS = [
         # 2: "spot" | 3: 5 | 4: 0.5, 5: -2.0 in 8 octets each
         "0801 | 1204 73706f74 | 1805 | 21 000000000000e03f | 29 00000000000000c0",
         RecordedLeds(session_ns=1, pattern="spot", leds=5, spot_x_m=0.5, spot_y_m=-2.0),
+    ),
+    (
+        # 2: "p" | 3: "p" | 4, 5: true | 6: "" | 7: "x" | 8: 0.5
+        "0801 | 120170 | 1a0170 | 2001 | 2801 | 3a0178 | 4208 000000000000e03f",
+        RecordedDriver(
+            session_ns=1,
+            who="p",
+            policy="p",
+            drives=True,
+            pressed=True,
+            ended="",
+            axes=("x",),
+            wanted=(0.5,),
+        ),
     ),
     (
         # 1: two numbers of 8 octets | 2: one octet | 2: none

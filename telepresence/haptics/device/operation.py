@@ -220,11 +220,13 @@ class JoystickOperation:
         if event is JoystickEvent.START:
             return self._start(ExperimentName.GERMAN, now_ns)
         if event in (JoystickEvent.POLICY, JoystickEvent.PERSON):
-            return self._hand_over(event)
+            return self._hand_over(event, now_ns)
         return self._command(event, now_ns, by)
 
-    def _hand_over(self, event: JoystickEvent) -> str:
+    def _hand_over(self, event: JoystickEvent, now_ns: int) -> str:
         to_policy = event is JoystickEvent.POLICY
+        if self.state is JoystickState.FATAL:
+            return self.handle_request(event, now_ns)
         if self.policy is None:
             return f"{event.value}: no page moves this joystick: it needs --joystick page"
         if to_policy and not self.policy:
