@@ -36,7 +36,7 @@ class PageMetrics:
     holder: Newest[int] = 0
     #: Who has the handle, a person or a policy; empty: nobody.
     driver: Newest[str] = ""
-    #: By person and policy: for how long (ms) each had the handle.
+    #: For how long (ms) a `person` and a `policy` had the handle.
     driven_ms: Mapping[str, int] = field(default_factory=dict)
     #: Turns of policies at the handle.
     policy_turns: int = 0

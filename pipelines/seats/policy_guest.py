@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_S
 from kontur_av.returned import one_line
 from pipelines.hand.hand_topics import DriverState, JoystickStatus
 from pipelines.seats.holders import HandleAuthority
@@ -20,7 +20,7 @@ class PolicyGuest:
     """The policy that is there, if any. A core; call `poll` every 10 ms while `present`.
 
     numbers: of the seat's pages; each policy that comes takes the next one.
-    events: who drove, and why a policy's turn ended. driven_ms: by person and policy, for how long.
+    events: who drove, and why a policy's turn ended. driven_ns: by `person` and `policy`.
     turns: of policies. refused: messages of a second program while one is there.
     """
 
@@ -34,7 +34,7 @@ class PolicyGuest:
         self._gone_ns = 0
         self._handed: int | None = None
         self.turns = self.refused = 0
-        self.driven_ms: Counter[str] = Counter()
+        self.driven_ns: Counter[str] = Counter()
         self._polled_ns: int | None = None
         self.events: deque[AuthorityEvent] = deque(maxlen=50)
 
@@ -122,7 +122,8 @@ class PolicyGuest:
         """Return the policy's number and what its hand does, or None."""
         number, hand = self._number, self._hand
         if self.who:
-            self.driven_ms[self.who] += (now_ns - (self._polled_ns or now_ns)) // NS_PER_MS
+            kind = "policy" if hand.turn else "person"
+            self.driven_ns[kind] += now_ns - (self._polled_ns or now_ns)
         self._polled_ns = now_ns
         if number is None:
             return None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from aiohttp import web
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
 from pipelines.mission.supervisor import session_dictionary
@@ -231,16 +232,16 @@ class PageServer:
             answers.put_nowait(result)
 
     def _publish(self) -> None:
-        sockets = self._sockets
+        sockets, guest = self._sockets, self._seat.policy
         self._context.probe.publish(
             PageMetrics(
                 watching=self._seat.watching,
                 holder=self._seat.holder or 0,
-                driver=self._seat.policy.who,
-                driven_ms=dict(self._seat.policy.driven_ms),
-                policy_turns=self._seat.policy.turns,
-                policies_refused=self._seat.policy.refused,
-                drivers=tuple(self._seat.policy.events),
+                driver=guest.who,
+                driven_ms={who: ns // NS_PER_MS for who, ns in guest.driven_ns.items()},
+                policy_turns=guest.turns,
+                policies_refused=guest.refused,
+                drivers=tuple(guest.events),
                 connections=sockets.connections,
                 refused=dict(self._site.refused),
                 unauthenticated_closed=self._site.closed,
