@@ -7,6 +7,7 @@ Take the handle at the page, and it lets go. A learned policy has the same metho
 picture with its age, the robot's place by axis and the task, and returns one action or a chunk.
 """
 
+from collections.abc import Mapping
 from math import hypot
 
 from pipelines import JoinedSession, Observation
@@ -21,9 +22,9 @@ class Reach:
     def __init__(self) -> None:
         self.reached, self.since_ns = 0, 0
 
-    def step(self, seen: Observation) -> dict[str, float]:
+    def step(self, seen: Observation) -> Mapping[str, float]:
         if not seen.drives:
-            return {}
+            return seen.robot
         x_m, y_m = PLACES_M[self.reached % len(PLACES_M)]
         if hypot(seen.robot["x"] - x_m, seen.robot["y"] - y_m) > NEAR_M:
             self.since_ns = seen.now_ns

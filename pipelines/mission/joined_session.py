@@ -12,7 +12,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import SystemRandom
-from typing import Generic, Literal, Self, TypeVar
+from typing import Any, Generic, Literal, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -26,7 +26,7 @@ from kontur_av.topics.bus import Lease, TopicBus, Writer
 from kontur_av.topics.session_files import choose_session
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, rows_of
 from pipelines.mission.choosing import CAMERA, SELECT
-from pipelines.mission.driving import Driving, Policy
+from pipelines.mission.driving import Driving
 from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
 from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary
 from pipelines.session.requests import running_sessions
@@ -193,20 +193,14 @@ class JoinedSession(Closing):
         """
         return GivenInput(self._bus, name)
 
-    def driving(self, name: str, *, hz: float = 20.0, shadow: bool = False) -> Driving:
-        """Return the place of a policy's program that runs a loop of its own; see `Driving`."""
-        return Driving(self.name, self.pictures(), name=name, hz=hz, shadow=shadow)
+    def drive(self, policy: Any, *, name: str = "", hz: float = 20.0, shadow: bool = False) -> None:
+        """Call `policy.step` with an `Observation` `hz` times a second, until the session ends.
 
-    def drive(
-        self, policy: Policy, *, name: str = "", hz: float = 20.0, shadow: bool = False
-    ) -> None:
-        """Let `policy` step `hz` times a second, until the session ends.
-
-        A person hands the handle over to it at a page, by its key or `tc joystick policy`, and any
-        person takes it back. A step that fails lets go, with one line; a silent one lets go, too.
-        name: of the policy; its class by default. Errors and shadow: as of `Driving`.
+        It returns where the robot is to be, as `taken_action` of `telepresence` takes it. A person
+        hands the handle over at a page or by `tc joystick policy`, and any takes it back. A step
+        that fails lets go, with one line; so does a silent one. name: its class by default.
         """
-        with self.driving(name or type(policy).__name__, hz=hz, shadow=shadow) as driving:
+        with Driving(self, name or type(policy).__name__, hz=hz, shadow=shadow) as driving:
             while driving.wait():
                 driving.step(policy.step)
 

@@ -180,12 +180,11 @@ class RecordedDriver(Recorded):
     pressed: Annotated[Bool, "it presses the dead-man button"]
     ended: Annotated[Text, "why its newest turn ended"]
     axes: Annotated[Sequence[Text], "the robot's axes"]
-    wanted: Annotated[Sequence[Double], "by axis, m or rad; NaN: as before; empty: nowhere"]
+    wanted: Annotated[Sequence[Double], "by axis, m or rad; empty: nowhere"]
 
     @classmethod
     def of(cls, state: DriverState, session_ns: int) -> "RecordedDriver":
-        wanted = tuple(nan if place is None else place for place in state.wanted)
-        return gathered(cls, state, session_ns=session_ns, wanted=wanted)
+        return gathered(cls, state, session_ns=session_ns)
 
 
 @record("TransferFrames", "frames of the radio link; both fields have the same number of values")

@@ -40,7 +40,5 @@ class PageMetrics:
     driven_ms: Mapping[str, int] = field(default_factory=dict)
     #: Turns of policies at the handle.
     policy_turns: int = 0
-    #: Messages of a second policy's program.
-    policies_refused: int = 0
     #: Who drove, and why a policy let go: the newest 50.
     drivers: Newest[tuple[AuthorityEvent, ...]] = ()

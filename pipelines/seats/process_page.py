@@ -128,7 +128,7 @@ class PageServer:
         """Move the hand of a policy every 10 ms; without one, see ten times a second who drives."""
         self._seat.handle_policy_time(self._now_ns())
         self._settle()
-        period_s = _POLICY_S if self._seat.policy.present else _DRIVER_S
+        period_s = _POLICY_S if self._seat.policy.name else _DRIVER_S
         self._timer = self._serving.loop.call_later(period_s, self._policy_time)
 
     def _watch(self) -> None:
@@ -240,7 +240,6 @@ class PageServer:
                 driver=guest.who,
                 driven_ms={who: ns // NS_PER_MS for who, ns in guest.driven_ns.items()},
                 policy_turns=guest.turns,
-                policies_refused=guest.refused,
                 drivers=tuple(guest.events),
                 connections=sockets.connections,
                 refused=dict(self._site.refused),

@@ -159,7 +159,7 @@ class Seat:
     @property
     def watched(self) -> bool:
         """Whether a page is open or a policy is there."""
-        return bool(self._pages) or self.policy.present
+        return bool(self._pages or self.policy.name)
 
     @property
     def left_out(self) -> int:
@@ -446,7 +446,7 @@ class Seat:
                     wanted_by=hand.wanted_by,
                     who=self._hand.name(hand.holder),
                     asks=self._hand.name(hand.wanted_by),
-                    policy=self.policy.name,
+                    policy=self.policy.state.policy,
                 ),
                 inputs=self.inputs.owners,
             )
