@@ -18,8 +18,9 @@ from telepresence.haptics.device.states import JoystickEvent, JoystickState
 
 #: The robot rests for this long before the press, and has this long to wait for it or to follow.
 _HOLD_NS, _PATIENCE_NS = 200 * NS_PER_MS, 5 * NS_PER_S
-#: The joystick tells its state every 100 ms. A program that says nothing for longer is gone.
-_SILENT_NS, _GONE_NS = 500 * NS_PER_MS, 2 * NS_PER_S
+#: For so long the device goes on without us, and without the joystick's state; it tells that every
+#: 100 ms. A program that says nothing for longer is gone.
+_KEEPS_NS, _SILENT_NS, _GONE_NS = 500 * NS_PER_MS, NS_PER_S, 2 * NS_PER_S
 #: The handle's greatest speed, in half ranges a second: about 0.3 m/s. Chosen.
 _HALVES_S = 2.0
 _MOST_STEP_NS = 50 * NS_PER_MS
@@ -136,8 +137,8 @@ class PolicyGuest:
         shares = dict(zip((axis.name for axis in self._axes), self._shares, strict=False))
         x, y, self._sequence = shares.pop("x", 0.0), shares.pop("y", 0.0), self._sequence + 1
         more = tuple(shares.values())
-        hand = PageInput(self.pressed, x, y, 0, self._sequence, now_ns, message.picture_ns, more)
-        return number, hand
+        place = (self.pressed, x, y, 0, self._sequence, now_ns, message.picture_ns, more)
+        return number, PageInput(*place, _KEEPS_NS)
 
     def _hindrance(self, now_ns: int) -> str:
         """Return why the policy may not have the handle now, or ""."""
