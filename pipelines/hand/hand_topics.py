@@ -26,15 +26,13 @@ class DriverState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     """Who has the handle at the operator's seat.
 
     who: a person or the policy; "" for nobody. policy: one that is there and may drive.
-    drives: it has the handle. pressed: its dead-man button. ended: why its newest turn ended.
-    wanted: where it wants the robot, obeyed or not, by `axes`: m, of rotations rad; empty: nowhere.
+    drives: it is obeyed: it presses the dead-man button. wanted: where it wants the robot, by
+    `axes`: m, of rotations rad; empty: nowhere.
     """
 
     who: str = ""
     policy: str = ""
     drives: bool = False
-    pressed: bool = False
-    ended: str = ""
     axes: tuple[str, ...] = ()
     wanted: Place = ()
 

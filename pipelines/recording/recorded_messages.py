@@ -176,9 +176,7 @@ class RecordedDriver(Recorded):
     session_ns: Annotated[Int64, "session clock"]
     who: Annotated[Text, "a person or a policy; empty: nobody"]
     policy: Annotated[Text, "the policy that is there and may drive"]
-    drives: Annotated[Bool, "the policy has the handle: it is obeyed"]
-    pressed: Annotated[Bool, "it presses the dead-man button"]
-    ended: Annotated[Text, "why its newest turn ended"]
+    drives: Annotated[Bool, "the policy presses the dead-man button: it is obeyed"]
     axes: Annotated[Sequence[Text], "the robot's axes"]
     wanted: Annotated[Sequence[Double], "by axis, m or rad; empty: nowhere"]
 

@@ -38,7 +38,5 @@ class PageMetrics:
     driver: Newest[str] = ""
     #: For how long (ms) a `person` and a `policy` had the handle.
     driven_ms: Mapping[str, int] = field(default_factory=dict)
-    #: Turns of policies at the handle.
-    policy_turns: int = 0
     #: Who drove, and why a policy let go: the newest 50.
     drivers: Newest[tuple[AuthorityEvent, ...]] = ()

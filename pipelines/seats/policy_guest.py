@@ -30,20 +30,18 @@ class PolicyGuest:
     """The policy that is there, if any. Call `poll` every 10 ms while `name` is not empty.
 
     numbers: of the seat's pages; a policy that comes takes the next one.
-    name: of the policy. turn: it has the handle. pressed: it presses the dead-man button.
-    wanted: where it wants the robot, obeyed or not. ended: why its newest turn ended.
-    turns: of policies. events: who drove, and why a policy let go.
-    driven_ns: for how long a `person` and a `policy` had the handle.
+    name: of the policy. events: who drove, and why a policy let go. driven_ns: for how long a
+    `person` and a `policy` had the handle.
     """
 
     def __init__(
         self, axes: Sequence[PolicyAxis], ownership: HandleAuthority, numbers: Iterator[int]
     ) -> None:
         self._axes, self._ownership, self._numbers = axes, ownership, numbers
-        self.name = self.ended = ""
-        self.turn = self.pressed = False
-        self.turns = 0
-        self.wanted: Place = ()
+        self.name = ""
+        #: It has the handle, then presses the dead-man button.
+        self._turn = self._pressed = False
+        self._wanted: Place = ()
         self.events: deque[AuthorityEvent] = deque(maxlen=50)
         self.driven_ns: Counter[str] = Counter()
         self._message = PolicyMessage("", (), 0)
@@ -67,11 +65,9 @@ class PolicyGuest:
         return DriverState(
             who=self.who,
             policy="" if self._message.shadow else self.name,
-            drives=self.turn,
-            pressed=self.pressed,
-            ended=self.ended,
+            drives=self._pressed,
             axes=tuple(axis.name for axis in self._axes),
-            wanted=self.wanted,
+            wanted=self._wanted,
         )
 
     def handle_message(self, message: PolicyMessage, now_ns: int) -> None:
@@ -104,40 +100,39 @@ class PolicyGuest:
         """See whether the handle has changed hands."""
         owner = self._ownership
         holds = owner.policy is not None and owner.may_move(owner.policy)
-        if holds and not self.turn:
-            self.turn, self.pressed, self.ended, self._since_ns = True, False, "", now_ns
-            self.turns += 1
+        if holds and not self._turn:
+            self._turn, self._since_ns = True, now_ns
             self._note(f"the policy {self.name} drives", now_ns)
-        elif self.turn and not holds:
+        elif self._turn and not holds:
             self._end(f"{self.who or 'a person'} took the handle", now_ns)
 
     def poll(self, now_ns: int) -> tuple[int, PageInput] | None:
         """Return the policy's number and what its hand does, or None."""
         step_ns, self._polled_ns = now_ns - (self._polled_ns or now_ns), now_ns
         if self.who:
-            self.driven_ns["policy" if self.turn else "person"] += step_ns
+            self.driven_ns["policy" if self._turn else "person"] += step_ns
         message, status, number = self._message, self._status, self._ownership.policy
-        self.wanted = message.place_at(now_ns)
-        if self.turn and (why := self._hindrance(now_ns) or self._interruption(now_ns)):
+        self._wanted = message.place_at(now_ns)
+        if self._turn and (why := self._hindrance(now_ns) or self._interruption(now_ns)):
             self._end(why, now_ns)
-        if number is None or status is None or not self.turn:
+        if number is None or status is None or not self._turn:
             if number is not None and now_ns >= self._gone_ns:
                 self._ownership.handle_gone(number)
                 self.name, self._ownership.policy = "", None
             return None
         rests = min(message.seen_ns, self._told_ns) > self._since_ns + _HOLD_NS
-        if self.pressed:
+        if self._pressed:
             self._move(_HALVES_S * min(step_ns, _MOST_STEP_NS) / NS_PER_S)
         elif rests and status.robot_waits and not status.dead_man:
             handle = {"x": status.x_m, "y": status.y_m}
             handle |= {axis.name: axis.position for axis in status.axes}
-            self.pressed, self._since_ns, self._from = True, now_ns, message.seen
+            self._pressed, self._since_ns, self._from = True, now_ns, message.seen
             self._zero = [_cut(handle.get(axis.name, 0.0) / axis.half) for axis in self._axes]
             self._shares = list(self._zero)
         shares = dict(zip((axis.name for axis in self._axes), self._shares, strict=False))
         x, y, self._sequence = shares.pop("x", 0.0), shares.pop("y", 0.0), self._sequence + 1
         more = tuple(shares.values())
-        place = (self.pressed, x, y, 0, self._sequence, now_ns, message.picture_ns, more)
+        place = (self._pressed, x, y, 0, self._sequence, now_ns, message.picture_ns, more)
         return number, PageInput(*place, _KEEPS_NS)
 
     def _hindrance(self, now_ns: int) -> str:
@@ -162,17 +157,17 @@ class PolicyGuest:
             return ""
         if self._held and not status.dead_man:
             # Our own processes were late, and the device let go: hold, and press from there.
-            self.pressed, self._since_ns = False, now_ns
+            self._pressed, self._since_ns = False, now_ns
         elif self._follows and status.robot_waits:
             return "the robot was interrupted"
-        self._held = self.pressed and (self._held or status.dead_man)
+        self._held = self._pressed and (self._held or status.dead_man)
         self._follows = self._held and not status.robot_waits
         late = not self._follows and now_ns - self._since_ns > _PATIENCE_NS
         return "the robot does not follow" if late else ""
 
     def _move(self, most: float) -> None:
         """Move the handle by at most so many shares, to where the robot is wanted."""
-        for at, (axis, place) in enumerate(zip(self._axes, self.wanted, strict=True)):
+        for at, (axis, place) in enumerate(zip(self._axes, self._wanted, strict=True)):
             # In rate mode the handle's deflection is the speed.
             base = self._message.seen[at] if axis.rate else self._from[at]
             turned = (1.0 if axis.scale > 0.0 else -1.0) if axis.rate else axis.scale
@@ -181,14 +176,12 @@ class PolicyGuest:
             self._shares[at] += max(-most, min(most, step))
 
     def _end(self, why: str, now_ns: int) -> None:
-        self.turn = self.pressed = self._held = self._follows = False
-        self.ended = why
+        self._turn = self._pressed = self._held = self._follows = False
         self._note(f"the policy {self.name} lets go: {why}", now_ns)
         self._ownership.handle_give(self._ownership.policy)
 
     def _note(self, what: str, now_ns: int) -> None:
-        if not self.events or self.events[-1].what != what:
-            self.events.append(AuthorityEvent(now_ns, what))
+        self.events.append(AuthorityEvent(now_ns, what))
 
 
 def _cut(share: float) -> float:

@@ -239,7 +239,6 @@ class PageServer:
                 holder=self._seat.holder or 0,
                 driver=guest.who,
                 driven_ms={who: ns // NS_PER_MS for who, ns in guest.driven_ns.items()},
-                policy_turns=guest.turns,
                 drivers=tuple(guest.events),
                 connections=sockets.connections,
                 refused=dict(self._site.refused),

@@ -44,4 +44,4 @@ async def test_it_aims_three_times_and_hands_over_in_the_fourth(tmp_path, monkey
                 said.read_text()
             )
     seat = report["processes"]["page_space"]["counts"]
-    assert seat["policy_turns"] == 1 and min(seat["driven_ms_policy"], seat["driven_ms_person"]) > 0
+    assert seat["driven_ms_policy"] > 0 < seat["driven_ms_person"]

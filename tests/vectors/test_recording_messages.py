@@ -93,18 +93,9 @@ VECTORS = [
         RecordedLeds(session_ns=1, pattern="spot", leds=5, spot_x_m=0.5, spot_y_m=-2.0),
     ),
     (
-        # 2: "p" | 3: "p" | 4, 5: true | 6: "" | 7: "x" | 8: 0.5
-        "0801 | 120170 | 1a0170 | 2001 | 2801 | 3a0178 | 4208 000000000000e03f",
-        RecordedDriver(
-            session_ns=1,
-            who="p",
-            policy="p",
-            drives=True,
-            pressed=True,
-            ended="",
-            axes=("x",),
-            wanted=(0.5,),
-        ),
+        # 2: "p" | 3: "p" | 4: true | 5: "x" | 6: 0.5
+        "0801 | 120170 | 1a0170 | 2001 | 2a0178 | 3208 000000000000e03f",
+        RecordedDriver(session_ns=1, who="p", policy="p", drives=True, axes=("x",), wanted=(0.5,)),
     ),
     (
         # 1: two numbers of 8 octets | 2: one octet | 2: none

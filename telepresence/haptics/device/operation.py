@@ -74,7 +74,7 @@ class JoystickOperation:
     experiment: of the present or the next application. partner: whether a partner's robot is there,
     which the caller sets; None: there can be none.
     policy, driver: of a joystick that pages move, which the caller sets: the policy that may drive,
-    and who has the handle. policy is None of any other. handed: as `JoystickStatus` has it.
+    and who has the handle; "" for none. handed: as `JoystickStatus` has it.
     """
 
     def __init__(
@@ -96,8 +96,7 @@ class JoystickOperation:
         self.released = 0
         self.experiment = ExperimentName.GERMAN
         self.partner: bool | None = None
-        self.policy: str | None = None
-        self.driver = ""
+        self.policy = self.driver = ""
         self.handed = (0, "")
         self.test = TestReport()
         self._automatic = automatic
@@ -210,7 +209,7 @@ class JoystickOperation:
         resume: it goes on by itself.
         calibrate: from halted, it resumes first. A pause stays.
         test: where it is calibrated, so that a person stops it first. A pause stays.
-        policy, person: the pages' seat hands over.
+        policy, person: the pages' seat hands over, where a policy is there.
         by: who gives it, in words.
         """
         if event is JoystickEvent.START_RUSSIAN:
@@ -219,22 +218,13 @@ class JoystickOperation:
             return self._start(ExperimentName.RUSSIAN, now_ns)
         if event is JoystickEvent.START:
             return self._start(ExperimentName.GERMAN, now_ns)
-        if event in (JoystickEvent.POLICY, JoystickEvent.PERSON):
-            return self._hand_over(event, now_ns)
+        over = event in (JoystickEvent.POLICY, JoystickEvent.PERSON)
+        if over and self.state is not JoystickState.FATAL:
+            if not self.policy or (self.driver and event is JoystickEvent.POLICY):
+                return f"{event.value}: {self.driver or 'no policy'} is at the handle"
+            self.handed = (self.handed[0] + 1, event.value)
+            return ""
         return self._command(event, now_ns, by)
-
-    def _hand_over(self, event: JoystickEvent, now_ns: int) -> str:
-        to_policy = event is JoystickEvent.POLICY
-        if self.state is JoystickState.FATAL:
-            return self.handle_request(event, now_ns)
-        if self.policy is None:
-            return f"{event.value}: no page moves this joystick: it needs --joystick page"
-        if to_policy and not self.policy:
-            return f"{event.value}: no policy is there that may drive"
-        if to_policy and self.driver:
-            return f"{event.value}: {self.driver} has the handle"
-        self.handed = (self.handed[0] + 1, event.value)
-        return ""
 
     def choose(self, experiment: ExperimentName) -> None:
         """The application, the present one or the next, is of this experiment."""
