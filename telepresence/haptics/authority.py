@@ -20,6 +20,7 @@ from enum import Enum
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.metrics import Newest
+from telepresence.haptics.axes import may_be_sample
 from telepresence.haptics.sample import FLAG_FEEDBACK, SAMPLE_OCTETS, is_greeting, read_greeting
 
 #: The tip rests for this long before the port changes hands.
@@ -156,9 +157,10 @@ class PartnerBoard:
     def handle_joystick(self, data: bytes, now_ns: int) -> bool:
         """A datagram of the joystick in space came; return whether it is for our robot."""
         ownership = self.ownership
-        if is_greeting(data):
+        # Behind these octets are zeros, one axis after the other.
+        if is_greeting(head := data[:SAMPLE_OCTETS]):
             try:
-                partner = read_greeting(data, feedback=False).partner
+                partner = read_greeting(head, feedback=False).partner
             except ProtocolError:
                 # Our link counts it.
                 return not self.left_out
@@ -170,7 +172,7 @@ class PartnerBoard:
 
     def handle_partner(self, data: bytes, now_ns: int) -> None:
         """A datagram of the partner's robot came. Garbage is counted; this never raises."""
-        if len(data) != SAMPLE_OCTETS or not data[2] & FLAG_FEEDBACK:
+        if not may_be_sample(data) or not data[2] & FLAG_FEEDBACK:
             self.ownership.garbage += 1
             return
         self._heard_ns = now_ns

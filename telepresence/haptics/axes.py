@@ -116,6 +116,16 @@ def sample_octets(more: int) -> int:
     return SAMPLE_OCTETS + more * AXIS_OCTETS
 
 
+#: The octets of the longest sample.
+MOST_SAMPLE_OCTETS: Final = sample_octets(MOST_MORE_AXES)
+
+
+def may_be_sample(data: bytes) -> bool:
+    """Whether `data` has the length of a sample with any number of axes."""
+    more = len(data) - SAMPLE_OCTETS
+    return more >= 0 and more % AXIS_OCTETS == 0 and len(data) <= MOST_SAMPLE_OCTETS
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AxisCapabilities:
     """What one more axis of a robot or a joystick is: m and N, of rotations rad and N m.

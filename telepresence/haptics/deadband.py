@@ -76,6 +76,13 @@ class Deadband:
         """The peer has met a burst of losses: leave nothing out for `WHOLE_NS`."""
         self._whole_until_ns = now_ns + WHOLE_NS
 
+    def rests(self, now_ns: int) -> bool:
+        """Whether nothing may be sent in this cycle."""
+        return False
+
+    def handle_other(self, now_ns: int) -> None:
+        """A greeting or an echo is sent in the place of a sample."""
+
     def handle_sample(self, value: Any, holding: bool, now_ns: int) -> Any:
         """Return the sample to send for `value` (a `Command` or a `Feedback`), or None.
 

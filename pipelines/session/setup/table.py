@@ -22,6 +22,14 @@ from pipelines.session.setup.segments import Direction
 from telepresence.haptics.axes import AxisName, AxisSettings, more_axes, sample_octets
 from telepresence.haptics.envelope import SafetyLimits
 from telepresence.haptics.mediated.wall import WALL_OCTETS
+from telepresence.haptics.pacing import (
+    FEEDBACK_HZ,
+    LEAST_COMMAND_HZ,
+    MOST_COMMAND_HZ,
+    OTHERS_HZ,
+    lasts_ns,
+)
+from telepresence.haptics.robot import Mark
 from telepresence.haptics.sample import SAMPLE_OCTETS
 from telepresence.link import arithmetic
 from telepresence.link.flows import Level
@@ -177,6 +185,8 @@ BATCHES_MS = (1, 2, 4)
 #: robot's side estimates and the joystick's side renders. `auto`: that wall, and directly what it
 #: does not explain. `adaptive`: as `direct`, and as `auto` from a round trip of 60 ms on.
 HandMode = Literal["adaptive", "direct", "mediated", "auto"]
+#: Whether the hand feels the robot's force.
+ForceMode = Literal["felt", "none"]
 #: From this measured round trip on, `adaptive` renders walls.
 WALLS_FROM_NS = 60 * NS_PER_MS
 
@@ -248,6 +258,8 @@ class Setup:
         (docs/two-machines.md).
     hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
         joystick (docs/haptics-controllers.md).
+    force: `none`: the hand feels nothing. Commands go at `command_hz`, the robot's state at 50 Hz,
+        and the pictures get the room (docs/setups.md).
     axes: what the hand moves, of x, y, z, roll, pitch, yaw, gripper and up to three of the robot's
         own. Each behind x and y makes the haptic samples longer, so the link's frames must be
         (docs/haptics-sample.md). axis: what there is to say of one of these.
@@ -255,6 +267,8 @@ class Setup:
     partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
     tasks: a live session has tasks, which people select and do (docs/tasks.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
+    marks: what stands in the robot's workspace, by name, for the maps of the pages. With any, or
+        with a robot of one's own, they show these instead of the built-in task board.
     playback: where the operator in space, and the ground, hear the voice (docs/setups.md).
     recorded_cameras: which cameras a recording has beside the streams (docs/recordings.md).
     region: what of the uplink video is coded finer where no person says (docs/video.md).
@@ -284,6 +298,8 @@ class Setup:
     path: PathForm = "slots"
     path_batch_ms: int = 1
     hand: HandMode = "adaptive"
+    force: ForceMode = "felt"
+    command_hz: int = 100
     axes: tuple[str, ...] = field(
         default=("x", "y"), metadata={"like": 'a list of names, like ["x", "y", "z", "gripper"]'}
     )
@@ -294,6 +310,10 @@ class Setup:
     partner_arm: PartnerArm = "none"
     tasks: bool = False
     safety: SafetyLimits = field(default_factory=SafetyLimits)
+    marks: Mapping[str, Mark] = field(
+        default_factory=dict,
+        metadata={"like": "a table of tables, like bin = {x_m = 0.1, y_m = 0.02}"},
+    )
     playback: Playback = field(default_factory=Playback)
     recorded_cameras: RecordedCameras = "idle"
     region: RegionChoice = "off"
@@ -328,6 +348,7 @@ class Setup:
                 'take codec = "h264", or leave [rtc] out'
             )
         self._make_room()
+        self._take_pace()
         self._take_repair()
         if self.path_batch_ms not in BATCHES_MS:
             raise ConfigError(f"path_batch_ms {self.path_batch_ms}: take 1, 2 or 4")
@@ -401,11 +422,6 @@ class Setup:
         """Give both directions an insert zone for a sample of all axes."""
         if not self.more_axes:
             return
-        if self.partner_arm == "board":
-            raise ConfigError(
-                "partner_arm board: a partner's robot has x and y only, so take "
-                'partner_arm = "none", "shared" or "second" with more axes'
-            )
         octets = sample_octets(len(self.more_axes))
         for name in ("uplink", "downlink"):
             profile: LinkProfile = getattr(self, name)
@@ -418,6 +434,37 @@ class Setup:
                     f"frame, {octets * 8} kbit/s in place of {SAMPLE_OCTETS * 8}: {error}"
                 ) from None
             object.__setattr__(self, name, wider)
+
+    def _take_pace(self) -> None:
+        """Without force feedback, keep less room for samples, and use each for longer."""
+        if self.force == "felt":
+            return
+        if not LEAST_COMMAND_HZ <= self.command_hz <= MOST_COMMAND_HZ:
+            raise ConfigError(
+                f"command_hz is {self.command_hz}: take {LEAST_COMMAND_HZ} to {MOST_COMMAND_HZ}"
+            )
+        for name, value, only in (
+            ("hand", self.hand, ("adaptive", "direct")),
+            ("deadband", self.deadband, ("off",)),
+            ("partner_arm", self.partner_arm, ("none",)),
+        ):
+            if value not in only:
+                raise ConfigError(
+                    f'{name} {value}: it is of a hand that feels; with force = "none" leave it out'
+                )
+        # Commands come down from space, the robot's state goes up.
+        for name, rate_hz in (("uplink", FEEDBACK_HZ), ("downlink", self.command_hz)):
+            profile = replace(getattr(self, name), sample_hz=rate_hz + OTHERS_HZ)
+            object.__setattr__(self, name, profile)
+        age_s = max(self.safety.command_max_age_s, lasts_ns(self.command_hz) / NS_PER_S)
+        resume_s = max(self.safety.resume_within_s, age_s)
+        safety = replace(self.safety, command_max_age_s=age_s, resume_within_s=resume_s)
+        object.__setattr__(self, "safety", safety)
+
+    @property
+    def paced_hz(self) -> int | None:
+        """The rate of commands without force feedback; None: with it."""
+        return None if self.force == "felt" else self.command_hz
 
     def _take_repair(self) -> None:
         for name in ("uplink", "downlink"):
@@ -561,7 +608,8 @@ class Setup:
     @property
     def renders_walls(self) -> bool:
         """Whether the robot's side estimates walls, which the joystick's side renders."""
-        return self.hand != "direct" and self.partner_arm not in ("shared", "board")
+        felt = self.force == "felt"
+        return felt and self.hand != "direct" and self.partner_arm not in ("shared", "board")
 
     @property
     def walls_from_ns(self) -> int:

@@ -45,8 +45,8 @@ def example(name):
 @pytest.mark.parametrize("name", sorted(OPTIONS))
 def test_every_option_can_be_in_a_file_and_be_taken_back(site, name):
     words, value = example(name)
-    if name in ("hand", "deadband", "repair", "path"):
-        words[1] = {"hand": "auto", "path": "compact"}.get(name, "off")
+    if name in ("hand", "force", "deadband", "repair", "path"):
+        words[1] = {"hand": "auto", "force": "none", "path": "compact"}.get(name, "off")
         value = f'"{words[1]}"'
     by_command = site({}, *words).options
     assert by_command != StreamOptions()
