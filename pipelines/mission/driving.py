@@ -1,5 +1,6 @@
 """A policy's program in a session: what it sees, at a rate of its own, and what it wants."""
 
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -110,6 +111,7 @@ class Driving(Closing):
         now_ns = self._clock.now_ns()
         message = PolicyMessage(
             self.name,
+            os.getpid(),
             *self._seen,
             tuple(times_ns),
             tuple(place for _, place in chunk),

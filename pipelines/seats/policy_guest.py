@@ -44,7 +44,7 @@ class PolicyGuest:
         self._wanted: Place = ()
         self.events: deque[AuthorityEvent] = deque(maxlen=50)
         self.driven_ns: Counter[str] = Counter()
-        self._message = PolicyMessage("", (), 0)
+        self._message = PolicyMessage("", 0, (), 0)
         self._status: JoystickStatus | None = None
         self._told_ns = self._gone_ns = self._polled_ns = self._sequence = 0
         #: Since when the robot rests, or is to follow. Then the joystick and it have answered.
@@ -72,10 +72,10 @@ class PolicyGuest:
 
     def handle_message(self, message: PolicyMessage, now_ns: int) -> None:
         """Take what a program says; of a second one nothing while the first is there."""
-        name = one_line(message.name)[:40] or "policy"
-        if self.name not in ("", name):
+        if self.name and message.program != self._message.program:
             return
         if not self.name:
+            name = one_line(message.name)[:40] or "policy"
             self.name, self._ownership.policy = name, next(self._numbers)
             self._ownership.handle_joined(self._ownership.policy, f"the policy {name}")
         if not message.fits(len(self._axes), now_ns):

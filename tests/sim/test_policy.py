@@ -50,7 +50,7 @@ class Session(HapticPair):
         now_ns, seat = self.now_ns, self.seat
         if self.place and now_ns % (30 * MS) == 0:
             wanted = (now_ns,), (self.place,), now_ns + 300 * MS
-            said = PolicyMessage("reach", (self.robot.x_m, self.robot.y_m), now_ns, *wanted)
+            said = PolicyMessage("reach", 1, (self.robot.x_m, self.robot.y_m), now_ns, *wanted)
             seat.handle_policy(said._replace(shadow=self.shadow), now_ns)
         if now_ns % (10 * MS) == 0:
             if (status := self.teller.poll_status(now_ns)) is not None:

@@ -70,12 +70,14 @@ def _number(value: Any, name: str) -> float:
 class PolicyMessage(NamedTuple):
     """What a policy's program says after each step. Instants are of the session's clock.
 
-    name: of the policy. seen: the robot's place at `seen_ns`. times_ns, places: its newest actions;
-    none: it lets go. until_ns: from then on the program is silent. picture_ns: as `PageInput` has
-    it. shadow: it is never obeyed. fault: one line, if its step failed.
+    name: of the policy. program: number of its process. seen: the robot's place at `seen_ns`.
+    times_ns, places: its newest actions; none: it lets go. until_ns: from then on the program is
+    silent. picture_ns: as `PageInput` has it. shadow: it is never obeyed. fault: one line, if its
+    step failed.
     """
 
     name: str
+    program: int
     seen: Place
     seen_ns: int
     times_ns: tuple[int, ...] = ()
