@@ -11,7 +11,7 @@ from kontur_av.closing import Closing
 from kontur_av.errors import ConfigError
 from kontur_av.returned import fault_of
 from kontur_av.topics.bus import TopicBus
-from pipelines.hand.hand_topics import DRIVER_TOPIC, POLICY_TOPIC
+from pipelines.hand.hand_topics import DRIVER_TOPIC, POLICY_TOPIC, DriverState
 from pipelines.session.mission_messages import MISSION_PANEL_TOPIC, ROBOT_STATUS_TOPIC, PanelShown
 from pipelines.session.sessions import is_alive
 from pipelines.session.topic_ends import TopicReader, TopicWriter
@@ -21,7 +21,7 @@ from telepresence.haptics.device.policy import PolicyMessage, taken_action
 if TYPE_CHECKING:
     from pipelines.mission.joined_session import JoinedSession, ShownPicture
 
-_OPENING_NS = 5 * NS_PER_S
+_OPENING_NS = 10 * NS_PER_S
 #: The newest action counts for so long, as a hand's newest command does (`hand_max_age_s`).
 _KEEP_NS = 500 * NS_PER_MS
 
@@ -61,7 +61,11 @@ class Driving(Closing):
         self._pictures = session.pictures()
         self._picture: ShownPicture | None = None
         self._bus = bus = TopicBus.join(session.name)
-        self._writer = TopicWriter(bus, POLICY_TOPIC, wake=True)
+        try:
+            self._writer = TopicWriter(bus, POLICY_TOPIC, wake=True)
+        except Exception as error:
+            bus.close()
+            raise ConfigError(f"session {session.name} takes no policy: {error}") from None
         self._driver, self._robot = (
             TopicReader(bus, DRIVER_TOPIC),
             TopicReader(bus, ROBOT_STATUS_TOPIC),
@@ -70,7 +74,11 @@ class Driving(Closing):
         self._panel = TopicReader(bus, MISSION_PANEL_TOPIC, opened=tasks)
         self._due_ns = self._clock.now_ns()
         until_ns = self._due_ns + _OPENING_NS
-        while self._driver.latest() is None or self._robot.latest() is None:
+        driver, robot = self._driver, self._robot
+        while not (
+            (driver.latest() or driver.newest or DriverState()).axes
+            and (robot.latest() or robot.newest)
+        ):
             if self._due_ns > until_ns or not self.wait():
                 bus.close()
                 raise ConfigError(

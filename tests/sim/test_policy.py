@@ -25,7 +25,7 @@ from telepresence.haptics.envelope import SafetyEnvelope
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
-TOPOLOGY = topology_of(BUILT_IN["taskboard"], pages=True)
+TOPOLOGY = topology_of(BUILT_IN["taskboard"], pages=True, joystick="page")
 PLAN = seat_plan(TOPOLOGY, Segment.SPACE, "s-1", built_in_dictionary())
 REST = {"x": 0.7, "y": 0.0}
 ENDED = {"silent": "silent", "emergency stop": "stop", "halt": "application", "cut": "interrupted"}
