@@ -452,7 +452,7 @@ def _said_of_fields(kind: type) -> dict[str, str]:
     for entry in re.split(r"\n(?=\w+(?:, \w+)*: )|(?<=\. )(?=\w+(?:, \w+)*: )", text)[1:]:
         names, _, what = entry.partition(": ")
         for name in names.split(", "):
-            found[name] = " ".join(what.split()).partition("\n\n")[0]
+            found[name] = " ".join(what.split()).partition(" Raises ")[0]
     return found
 
 
