@@ -1,7 +1,7 @@
 """Write what documents take from the code.
 
     python docs/generate.py            docs/python.md, from the docstrings of what is exported, and
-                                       the tables of commands, processes, topics and ports
+                                       every part between `<!-- generated: NAME -->` marks
     python docs/generate.py --run      the README's table, too: a session of 20 s on virtual time
 
 Tests check that all but the README's table is up to date. griffe reads source text, so the page is
