@@ -8,7 +8,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
 from pipelines.commands.live_session import end_session, made_directory, with_status
-from pipelines.commands.record import checked_options
+from pipelines.commands.record import checked_options, recording_line
 from pipelines.commands.session_parts import (
     asked_topology,
     checked_components,
@@ -104,6 +104,8 @@ def _run(site: SiteOptions, *, dry: bool) -> int:
         if recording is not None:
             clear_parts(Path(recording.file))
             write_request(session, recording)
+            if not args.quiet:
+                say(recording_line(recording, setup))
         launcher = Launcher(
             session=session,
             topology=topology,

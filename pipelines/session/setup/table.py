@@ -202,9 +202,9 @@ PartnerArm = Literal["none", "shared", "second", "board"]
 
 #: What of the uplink video is coded finer. `off`: nothing. `stylus`: what is around its tip.
 RegionChoice = Literal["off", "stylus"]
-#: Which cameras are recorded. `idle`: those that no stream carries, at 5 Hz. `all`: every camera at
-#: its full rate.
-RecordedCameras = Literal["idle", "all"]
+#: Which cameras are recorded. `carried`: as the streams carry them, others at 5 Hz. `all`: every
+#: camera at its full rate. `auto`: all, if the disk has room for an hour of them; else `carried`.
+RecordedCameras = Literal["auto", "all", "carried"]
 #: The built-in scenes that see the task board.
 _BOARD_SCENES = ("left", "right", "static", "head")
 
@@ -330,7 +330,7 @@ class Setup:
         metadata={"like": "a table of tables, like bin = {x_m = 0.1, y_m = 0.02}"},
     )
     playback: Playback = field(default_factory=Playback)
-    recorded_cameras: RecordedCameras = "idle"
+    recorded_cameras: RecordedCameras = "auto"
     region: RegionChoice = "off"
     region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(
         default_factory=dict,
