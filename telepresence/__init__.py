@@ -2,7 +2,7 @@
 
 All are cores: they open no socket and ask no clock. samples/slots_virtual_time.py drives both ends
 of the link by hand. `RobotDevice` and `JoystickDevice` are what a robot and a joystick of your own
-are (docs/robots.md).
+are (docs/drivers.md).
 """
 
 from typing import TYPE_CHECKING

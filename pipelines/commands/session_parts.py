@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from pathlib import Path
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from kontur_av.hosts import split_address
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
 from pipelines.hand.safety_ends import within
 from pipelines.link.own_ends import PeerPlan, chosen_end
 from pipelines.mission.mission import TaskOptions
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
 from pipelines.session.setup.segments import Segment
@@ -28,6 +30,7 @@ from telepresence.haptics.specs import (
 from telepresence.tasks.cosmonaut import Skill
 from telepresence.tasks.task_files import load_plan, load_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.routes import Route, read_routes
 from telepresence.tmtc.telemetry_source import Component, load_components
 
 
@@ -70,6 +73,16 @@ def checked_components(
     return load_components(args.telemetry, built_in_dictionary())
 
 
+def load_routes(path: Path | None) -> tuple[Route, ...]:
+    """Return the routes of a file; none without one. ConfigError, with its line."""
+    if path is None:
+        return ()
+    with refused(f"cannot read routes {path}"):
+        octets = path.read_bytes()
+    with refused(f"routes {path}", ConfigError):
+        return read_routes(octets)
+
+
 def asked_topology(
     args: StreamOptions, plan: Topology, components: tuple[Component, ...], *, tasks: bool
 ) -> Topology:
@@ -81,7 +94,11 @@ def asked_topology(
     }
     pages = args.page is not False
     asked |= {"pages": pages, "recorder": True, "tasks": tasks, "components": components}
-    return topology_of(plan.setup, segments=plan.segments, **asked)
+    asked["routes"] = load_routes(args.routes)
+    topology = topology_of(plan.setup, segments=plan.segments, **asked)
+    with refused(f"routes {args.routes}", ConfigError):
+        session_dictionary(built_in_dictionary(), topology)
+    return topology
 
 
 def task_options(
