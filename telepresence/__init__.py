@@ -2,7 +2,7 @@
 
 All are cores: they open no socket and ask no clock. samples/slots_virtual_time.py drives both ends
 of the link by hand. `RobotDevice` and `JoystickDevice` are what a robot and a joystick of your own
-are (docs/robots.md).
+are (docs/drivers.md).
 """
 
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from telepresence.haptics.device.device import JoystickCapabilities as JoystickFacts
     from telepresence.haptics.device.states import JoystickState
     from telepresence.haptics.hand import FIRM_GRIP, SOFT_GRIP, Hand, Waypoint
-    from telepresence.haptics.robot import JointReading, RobotCapabilities
+    from telepresence.haptics.robot import JointReading, Mark, RobotCapabilities
     from telepresence.haptics.robot import RobotCapabilities as RobotFacts
     from telepresence.haptics.robot_device import RobotDevice, RobotReading
     from telepresence.haptics.sample import Command, Feedback
@@ -78,6 +78,7 @@ __all__ = [
     "LinkProfile",
     "LinkReceiver",
     "LinkSender",
+    "Mark",
     "PusApplication",
     "PusUser",
     "RadioPath",

@@ -15,7 +15,9 @@ from telepresence.haptics.authority import Authority
 #: How long a hand-over may take: the robot comes to rest first.
 _TIMEOUT_S = 5.0
 _LOOK_S = 0.1
-_LACKS = 'and no partner may drive its robot: give its setup partner_arm = "shared" (docs/rtc.md)'
+_LACKS = (
+    'and no partner may drive its robot: give its setup partner_arm = "shared" (docs/webrtc.md)'
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

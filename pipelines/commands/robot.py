@@ -1,6 +1,7 @@
 """`kontur-av robot`: check a user's robot, or let a session's joystick drive it."""
 
 import argparse
+from collections.abc import Sequence
 from contextlib import closing
 from math import hypot
 
@@ -34,15 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "let the joystick of a session drive a partner's robot: its Russian experiment",
         f"--robot SPEC <={SIMULATED_ROBOT}>  sim, with its task board, udp:HOST:PORT[:KEYFILE] or "
         "your own: module:Class (default: sim)",
+        SETUP_ROW,
     )
     add_way_arguments(add_actions(parser, {"check": check, "serve": serve})["serve"])
 
 
 def run(args: argparse.Namespace) -> int:
     """0 if all is well; 1 if a check failed, or no joystick came."""
-    if args.action == "serve":
-        return _serve(args)
     axes = axes_of(args.setup)
+    if args.action == "serve":
+        return _serve(args, axes or ())
     if axes is not None:
         # Before it has power, if its facts are known then.
         check_robot(args.robot, axes)
@@ -57,10 +59,10 @@ def run(args: argparse.Namespace) -> int:
         return print_results(console, list(RobotCheck(robot, MonotonicClock(), axes).run()))
 
 
-def _serve(args: argparse.Namespace) -> int:
+def _serve(args: argparse.Namespace, axes: Sequence[str]) -> int:
     """Serve the robot until it is stopped; 0 if the joystick has driven it, else 1."""
     say_unprotected(args.robot)
-    with closing(open_robot(args.robot)) as robot:
+    with closing(open_robot(args.robot, axes)) as robot:
         envelope = SafetyEnvelope(within(SafetyLimits(), robot.capabilities))
         side = robot_side(envelope, boot_id=new_boot_id(), robot=robot)
         powered = PoweredRobot(robot, envelope)

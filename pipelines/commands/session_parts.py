@@ -8,6 +8,7 @@ from kontur_av.errors import ConfigError, refused
 from kontur_av.hosts import split_address
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
+from pipelines.hand.safety_ends import within
 from pipelines.link.own_ends import PeerPlan, chosen_end
 from pipelines.mission.mission import TaskOptions
 from pipelines.mission.supervisor import session_dictionary
@@ -35,7 +36,7 @@ from telepresence.tmtc.telemetry_source import Component, load_components
 def chosen_setup(args: StreamOptions) -> Setup:
     """The setup that the options name, with what they change; ConfigError if it cannot work.
 
-    A user's robot brings its own sources for inputs of the setup.
+    A user's robot brings its own sources for inputs of the setup, its marks and its limits.
     """
     setup = asked_setup(args)
     if args.second_robot != SIMULATED_ROBOT and setup.partner_arm != "second":
@@ -50,7 +51,12 @@ def chosen_setup(args: StreamOptions) -> Setup:
         return setup
     inputs = {row.name for row in topology_of(setup).inputs}
     own = {name: spec for name, spec in metadata.sources.items() if name in inputs}
-    return replace(setup, sources={**own, **setup.sources})
+    return replace(
+        setup,
+        sources={**own, **setup.sources},
+        marks={**metadata.marks, **setup.marks},
+        safety=within(setup.safety, metadata),
+    )
 
 
 def checked_components(
@@ -60,7 +66,7 @@ def checked_components(
     if Segment.SPACE in segments:
         check_joystick(args.joystick, setup.more_axes)
     if Segment.GROUND in segments:
-        check_robot(args.robot, setup.more_axes)
+        check_robot(args.robot, setup.more_axes, felt=setup.force == "felt")
         check_robot(args.second_robot)
     say_unprotected(args.joystick, args.robot)
     return load_components(args.telemetry, built_in_dictionary())

@@ -42,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "seed",
         "deadband",
         "hand",
+        "force",
         "repair",
         "path",
         "path_batch_ms",
@@ -83,7 +84,7 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     if plan is not None and args.joystick is not None:
         raise ConfigError("--plan has a joystick of its own: leave --joystick out")
     with (
-        opened_devices(args, setup.more_axes) as (robot, joystick),
+        opened_devices(args, setup.more_axes, felt=setup.force == "felt") as (robot, joystick),
         stopped_by_signals() as stopped,
     ):
         return simulate(
@@ -102,7 +103,7 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
 
 def _replay(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     why = " changes what is sent: a replay sends what was recorded"
-    given = ("source", "select", "deadband", "hand", "plan", "robot", "joystick")
+    given = ("source", "select", "deadband", "hand", "force", "plan", "robot", "joystick")
     refuse_options(args, why, *given)
     session, setup = load_replay(args, args.replay)
     with stopped_by_signals() as stopped:
@@ -127,7 +128,7 @@ def add_virtual_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "--select T=CAMERA <*>  the operator selects CAMERA at second T; repeatable",
         "--plan PLAN.toml <Path>  tasks that a simulated cosmonaut does, one after the other "
-        "(docs/tasks.md)",
+        "(docs/ground-control.md)",
         "--robot SPEC  sim, or a simulated robot of your own: module:Class (default: sim)",
         "--joystick SPEC  sim, sim:FAULT or your own simulated one, with calibration, states and "
         "faults; without, always in the application",
@@ -144,7 +145,7 @@ def add_virtual_arguments(parser: argparse.ArgumentParser) -> None:
 
 @contextmanager
 def opened_devices(
-    args: argparse.Namespace, axes: Sequence[str]
+    args: argparse.Namespace, axes: Sequence[str], *, felt: bool = True
 ) -> Iterator[tuple[Robot | None, JoystickDevice | None]]:
     """Yield what the options name, with these axes; ConfigError for what lives in real time."""
     robot: Robot | None = None
@@ -154,7 +155,7 @@ def opened_devices(
             joystick = open_device(args.joystick, hand=Hand(), axes=axes)
             opened.callback(joystick.close)
         if _named(args, "robot"):
-            robot = open_robot(args.robot, axes)
+            robot = open_robot(args.robot, axes, felt=felt)
             opened.callback(robot.close)
         yield robot, joystick
 

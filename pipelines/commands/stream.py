@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
     add_options(
         parser,
-        "site FILE.toml <Path?>  a site file: any of the options below (docs/setups.md)",
+        "site FILE.toml <Path?>  a site file: any of the options below (docs/setup-file.md)",
         "--explain  print what the session would run with, and where each value comes from",
     )
     add_grouped_options(parser)

@@ -62,5 +62,5 @@ def run(args: argparse.Namespace) -> int:
         for name, text in files.items():
             (directory / name).parent.mkdir(parents=True, exist_ok=True)
             (directory / name).write_text(text, encoding="utf-8")
-    print_data(f"{directory} is written. In it start org.yamcs.YamcsServer: docs/yamcs.md\n")
+    print_data(f"{directory} is written. In it start org.yamcs.YamcsServer: docs/telemetry.md\n")
     return 0

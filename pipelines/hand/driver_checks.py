@@ -59,7 +59,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
         self, device: RobotDevice, clock: Clock, axes: Sequence[str] | None = None
     ) -> None:
         super().__init__(device, clock, axes)
-        self._takes_force = self._powered = False
+        self._takes_force = self._felt = self._powered = False
         self._deactivations_ns: list[int] = []
         #: Where the axes behind x and y were when it was activated, and stay.
         self._positions: list[float] = []
@@ -111,7 +111,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
     def readings(self) -> tuple[Figure, ...]:
         """All measurements are numbers, and follow one from the other."""
         most = 2 * self._device.capabilities.speed_m_s
-        least_hz = LEAST_FORCE_HZ if self._takes_force else None
+        least_hz = LEAST_FORCE_HZ if self._felt else None
         same_ms = median(self._same_ms or [1])
         return (
             Figure("measured anew", 1000 / same_ms, "Hz", least=least_hz),
@@ -138,6 +138,7 @@ class RobotCheck(DeviceCheck[RobotReading]):
             # Refused here, before it has power; wrong values are the check of its facts.
             taken(RobotCapabilities, device.capabilities, "capabilities")
         self._takes_force = device.capabilities.takes == "force"
+        self._felt = self._takes_force and device.capabilities.force == "felt"
         self._runs_alone = device.capabilities.runs_alone
         self._powered = True
         device.power_on()
@@ -149,7 +150,8 @@ class RobotCheck(DeviceCheck[RobotReading]):
             self._device.power_off()
 
     def _checks(self) -> Sequence[Check]:
-        no_port = "" if self._takes_force else "it takes places: no force passes its port"
+        places = "it takes places: no force passes its port"
+        no_port = "" if self._felt else "nobody feels its force" if self._takes_force else places
         return (
             ("power on", self.power_on, ""),
             ("moves", self.moves, ""),

@@ -1,6 +1,7 @@
 """The two haptic endpoints, one cycle at a time: robot on the ground, joystick in space."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -74,8 +75,9 @@ class _End(Generic[Side]):
         link = self._link
         self._probe.publish(link.sent_metrics())
         self._probe.publish(link.received_metrics())
-        self._probe.publish(self.side.report())
-        if self.side.axes is not None:
+        if self.side.felt:
+            self._probe.publish(self.side.report())
+        if self.side.felt and self.side.axes is not None:
             for name, port in self.side.axes.report().items():
                 self._probe.publish(port, name)
         self._sent.extend(link.take_sent_stamps())
@@ -89,6 +91,7 @@ def robot_side(
     *,
     boot_id: int,
     deadband: bool = False,
+    command_hz: int | None = None,
     mediated: bool = False,
     residual: bool = False,
     walls_from_ns: int = 0,
@@ -100,18 +103,31 @@ def robot_side(
 
     boot_id: 1 to 2^24-1; no earlier start of this end had it. residual, walls_from_ns, plane: see
     `RobotSide`. ownership: where a partner may drive, too. robot: the simulated one, if None.
+    command_hz: the rate of commands without force feedback; None: with it.
     """
+    felt = command_hz is None
     limits = envelope.limits
+    model = RobotControllerModel(
+        speed_m_s=limits.speed_m_s,
+        force_limit_n=limits.force_n,
+        half_width_m=limits.half_width_m,
+        half_height_m=limits.half_height_m,
+    )
+    if command_hz is not None:
+        # Until the next place comes, the reference goes on.
+        model = replace(model, follow_s=max(model.follow_s, 1.0 / command_hz))
     max_age_ns = round(limits.command_max_age_s * NS_PER_S)
     more = 0 if robot is None else len(robot.more)
     return RobotSide(
-        link=robot_link(boot_id=boot_id, max_age_ns=max_age_ns, deadband=deadband, more=more),
-        model=RobotControllerModel(
-            speed_m_s=limits.speed_m_s,
-            force_limit_n=limits.force_n,
-            half_width_m=limits.half_width_m,
-            half_height_m=limits.half_height_m,
+        felt=felt,
+        link=robot_link(
+            boot_id=boot_id,
+            max_age_ns=max_age_ns,
+            deadband=deadband,
+            command_hz=command_hz,
+            more=more,
         ),
+        model=model,
         mediated=mediated,
         residual=residual,
         walls_from_ns=walls_from_ns,
@@ -207,7 +223,7 @@ class RobotEnd(_End[RobotSide]):
                 self._touched_ns = now_ns
         self._cycles += 1
         if changed or self._cycles % _PUBLISH_EVERY == 0:
-            self._state = state = WorldState(
+            self._state = WorldState(
                 now_ns,
                 robot.x_m,
                 robot.y_m,
@@ -218,7 +234,8 @@ class RobotEnd(_End[RobotSide]):
                 holds=robot.holds,
             )
             if changed and robot.contact:
-                lit = state.lit
+                # A user's robot touches things of its own, not the LEDs of the board.
+                lit = self.side.lit
                 self._contacts.add(ContactRow(now_ns, -1 if lit is None else lit))
         if self.trace.rows is not None:
             self._add_row(now_ns)
@@ -257,7 +274,7 @@ class JoystickEnd(_End[JoystickSide]):
 
     handle: None for the simulated joystick in the simulated hand. The state of an `OperatedHandle`
         is reported, too.
-    boot_id: as in `robot_side`.
+    boot_id, command_hz: as in `robot_side`.
     mediated, residual, adaptive: the hand feels the wall that `handle_wall` takes (see
         `JoystickSide`).
     """
@@ -268,15 +285,21 @@ class JoystickEnd(_End[JoystickSide]):
         *,
         boot_id: int,
         deadband: bool = False,
+        command_hz: int | None = None,
         mediated: bool = False,
         residual: bool = False,
         adaptive: bool = False,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
         more = 0 if handle is None else len(handle.more)
-        link = joystick_link(boot_id=boot_id, deadband=deadband, more=more)
+        link = joystick_link(boot_id=boot_id, deadband=deadband, command_hz=command_hz, more=more)
         side = JoystickSide(
-            link=link, handle=handle, mediated=mediated, residual=residual, adaptive=adaptive
+            link=link,
+            handle=handle,
+            mediated=mediated,
+            residual=residual,
+            adaptive=adaptive,
+            felt=command_hz is None,
         )
         super().__init__(side, probe)
         self.handle_wall = self.side.handle_wall
@@ -303,11 +326,13 @@ class JoystickEnd(_End[JoystickSide]):
         if russian is not session.for_partner:
             self._link.begin_anew(for_partner=russian)
             self._leaves = True
-        if self._leaves and not self.side.force_x_n and not self.side.force_y_n:
+        axes = self.side.axes
+        forces = [axis.force_n for axis in axes.axes] if axes else []
+        if self._leaves and not any((self.side.force_x_n, self.side.force_y_n, *forces)):
             # Not before: the force of the last cycle is still to be paid for.
             self._leaves = False
-            port = self.side.controller.port
-            port.discard_credit(max(0.0, port.credit_j))
+            for each in (self.side.controller, *(axes.controllers if axes else ())):
+                each.port.discard_credit(max(0.0, each.port.credit_j))
         operation.partner = self._link.hearing and (russian or session.partner_there)
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:

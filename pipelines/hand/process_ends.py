@@ -119,6 +119,7 @@ class _Robot:
             envelope,
             boot_id=boot_id,
             deadband=setup.deadband != "off",
+            command_hz=setup.paced_hz,
             mediated=mediated,
             residual=setup.hand != "mediated",
             walls_from_ns=setup.walls_from_ns,
@@ -212,7 +213,7 @@ def run_robot(context: Context) -> None:
     if context.takes_power:
         take_power(spec, axes)
         return
-    robot = open_robot(spec, axes)
+    robot = open_robot(spec, axes, felt=context.setup.paced_hz is None)
     with closing(robot), context.open_bus() as bus:
         if isinstance(robot, DrivenRobot):
             _publish_datagrams(context, robot.device)
@@ -246,6 +247,7 @@ class _Joystick:
             context.probe,
             boot_id=new_boot_id(),
             deadband=setup.deadband != "off",
+            command_hz=setup.paced_hz,
             mediated=setup.renders_walls,
             residual=setup.hand != "mediated",
             adaptive=setup.hand == "adaptive",

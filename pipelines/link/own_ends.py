@@ -97,7 +97,7 @@ def make_path(
         address=plan.peer,
         now_ns=now_ns,
         bundling=Bundling(
-            transmit, receive, plan.batch_ms * NS_PER_MS // transmit.slot_ns, plan.compact
+            transmit, receive, max(1, plan.batch_ms * NS_PER_MS // transmit.slot_ns), plan.compact
         ),
         needs=needs,
     )

@@ -26,7 +26,7 @@ from pipelines.partner.ice_servers import IceServers
 from pipelines.session.datagrams import OwnOutlet, listen_alone, newest_sample
 from pipelines.session.process import Context
 from pipelines.session.topology.streams import partner_ports
-from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.haptics.axes import may_be_sample
 
 _LABEL = "haptics"
 _HERE, _DISPLACED = b"\0", b"\1"
@@ -150,7 +150,7 @@ class SamplePeer:
 
     def _message(self, data: object) -> None:
         self._heard_s = asyncio.get_running_loop().time()
-        if isinstance(data, bytes) and len(data) == SAMPLE_OCTETS:
+        if isinstance(data, bytes) and may_be_sample(data):
             self.received += 1
             self._handle(data)
         elif data == _DISPLACED:
@@ -167,7 +167,7 @@ class SamplePeer:
 
 
 class SamplePorts:
-    """Between one partner's data channel and the robot's ports of `docs/rtc.md`.
+    """Between one partner's data channel and the robot's ports of `docs/webrtc.md`.
 
     The port of the robot's samples is taken while a partner is there, so a joystick on this machine
     can have it otherwise.

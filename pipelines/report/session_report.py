@@ -209,6 +209,8 @@ def haptic_report(
     profile, metrics = collector.setup.profile(row.direction), collector.haptics[row.key]
     sent, received = sender.total(SamplesSent), receiver.total(SamplesReceived)
     left_out = sent.left_out
+    more = collector.setup.more_axes if collector.setup.force == "felt" else ()
+    axes = {str(name): sender.total(PortMetrics, name) for name in more}
     return model.HapticReport(
         side=collector.topology.side_here(row),
         cap_bps=haptic_cap_bps(profile),
@@ -223,13 +225,13 @@ def haptic_report(
         lateness_us=punctuality_us(sender.lateness),
         loop=sender.total(LoopMetrics),
         port=sender.total(PortMetrics),
-        axes={name: sender.total(PortMetrics, name) for name in collector.setup.more_axes} or None,
+        axes=axes or None,
     )
 
 
 def haptic_cap_bps(profile: LinkProfile) -> int:
-    """The rate of the insert zones of all frames."""
-    return profile.insert_octets * 8 * NS_PER_S // profile.slot_ns
+    """The rate of the insert zones of all frames that samples have room in."""
+    return profile.sample_bps
 
 
 def haptic_bps(profile: LinkProfile, samples: int, seconds: float) -> int:

@@ -108,7 +108,8 @@ def _senses_lines(report: model.SessionReport) -> Iterator[str]:
             if metrics is not None and metrics.perceived
         )
         line = f"by content, ms after each of {sync.events} contacts: {senses}"
-        yield f"{line}; skew: {skews}" if (skews := _skews(sync.skew_ms)) else line
+        if senses:
+            yield f"{line}; skew: {skews}" if (skews := _skews(sync.skew_ms)) else line
     yield from map(task_line, report.tasks or ())
     if (together := report.lip_sync) is not None:
         yield (

@@ -18,7 +18,8 @@ LATEST_NS = 1500 * NS_PER_MS
 #: Votes are counted in boxes of this width; this many neighbours on either side count as well.
 _BOX_NS = 10 * NS_PER_MS
 _NEIGHBOURS = 7
-#: A finding farther than this from the usual delay is believed only if it is strong.
+#: A finding farther than this from the usual delay is believed only if it is strong; findings whose
+#: stamps spread wider give no verdict.
 _NEAR_NS = 120 * NS_PER_MS
 #: The least strength of a near and of a far finding, relative to the median of the near ones.
 _LEAST_NEAR, _LEAST_FAR = 0.2, 0.6
@@ -137,7 +138,7 @@ class SyncVerdict:
 
     judged: their number. median_ns: the median of stamp minus instant of the contact. between_ns:
     where that median lies with 95 % confidence. allowed_ns: where it may lie. agrees: None if the
-    findings are too few, or allow both answers.
+    findings are too few, spread too wide, or allow both answers.
     """
 
     judged: int
@@ -173,7 +174,8 @@ def judge(perceived: Sequence[tuple[int, Matched]]) -> SyncVerdict:
     allowed = -TOLERANCE_NS, TOLERANCE_NS + slack[middle]
     between = median_interval(errors)
     agrees = None
-    if len(errors) >= LEAST_VERDICT:
+    # Mistaken findings all come after their contact. They are told by their spread.
+    if len(errors) >= LEAST_VERDICT and between[1] - between[0] <= _NEAR_NS:
         if between[1] < allowed[0] or between[0] > allowed[1]:
             agrees = False
         elif allowed[0] <= errors[middle] <= allowed[1]:

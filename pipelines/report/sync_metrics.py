@@ -379,9 +379,11 @@ def sync_section(setup: Setup, metrics: SyncMetrics, *, media: bool) -> SyncRepo
 
 
 def _touch_reaches(setup: Setup, sense: str) -> bool:
-    """Whether the operator sees or hears the place where the simulated stylus touches.
+    """Whether the operator sees, hears or feels the place where the simulated stylus touches.
 
     A flash in a film, or a click at the user's own microphone, is no contact.
     """
+    if sense == "force" and setup.force == "none":
+        return False
     inputs = {"light": setup.camera_inputs, "click": (GROUND_MIC,)}.get(sense, ())
     return all(setup.source(name) in CONTACT_SCENES for name in inputs)

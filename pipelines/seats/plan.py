@@ -1,7 +1,7 @@
 """What a seat's pages are sent and may send, derived from the table of the session."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil
 
@@ -37,7 +37,7 @@ from pipelines.session.topology.topics import (
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.joystick import JoystickModel
-from telepresence.haptics.robot_controller import RobotControllerModel
+from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
@@ -124,9 +124,10 @@ def seat_plan(
     session: the name of the session. dictionary: of its telecommands and telemetry.
     tasks: what people in space know of the tasks, in a session with some.
     """
-    setup, robot = topology.setup, RobotControllerModel()
+    setup = topology.setup
     written = {topic for row in topology.processes for topic in row.writes}
     ground, tasked = segment is Segment.GROUND, topology.options.tasks
+    has_board = tasked or (topology.options.robot == SIMULATED_ROBOT and not setup.marks)
     streams = tuple(_streams(topology, segment))
     previews = dict(_previews(topology)) if ground else {}
     inputs = tuple(_inputs(topology, segment))
@@ -143,10 +144,13 @@ def seat_plan(
         joystick=topology.options.joystick,
         workspace=gathered(texts.WorkspaceText, JoystickModel()),
         board=texts.BoardText(
-            width_m=2 * robot.half_width_m,
-            height_m=2 * robot.half_height_m,
-            wall_x_m=WALL_X_M,
-            leds_m=LEDS_M,
+            width_m=2 * setup.safety.half_width_m,
+            height_m=2 * setup.safety.half_height_m,
+            wall_x_m=WALL_X_M if has_board else None,
+            marks=tuple(
+                texts.MarkText(name=name, **asdict(mark)) for name, mark in setup.marks.items()
+            ),
+            leds_m=LEDS_M if has_board else (),
             lights_m=LIGHTS_M if tasked else (),
             paths_m=goal_paths() if tasked else {},
             spring_m=(SpringModel().x_m, 0.0),

@@ -75,16 +75,28 @@ class WorkspaceText(msgspec.Struct, frozen=True, kw_only=True):
     half_height_m: float
 
 
-class BoardText(msgspec.Struct, frozen=True, kw_only=True):
-    """The robot's task board; its middle is (0, 0).
+class MarkText(msgspec.Struct, frozen=True, kw_only=True):
+    """What stands in the robot's workspace: a place, or an obstacle with its half sizes."""
 
-    With tasks, lights_m: of the LED panel; paths_m: by goal, the way that is to be followed;
-    spring_m: where the spring begins.
+    name: str
+    x_m: float
+    y_m: float
+    half_width_m: float
+    half_height_m: float
+
+
+class BoardText(msgspec.Struct, frozen=True, kw_only=True):
+    """The robot's workspace, with its middle at (0, 0), and the task board in it, if there is one.
+
+    wall_x_m: null without the board. marks: what the robot or the setup names. With tasks,
+    lights_m: of the LED panel; paths_m: by goal, the way that is to be followed; spring_m: where
+    the spring begins.
     """
 
     width_m: float
     height_m: float
-    wall_x_m: float
+    wall_x_m: float | None
+    marks: tuple[MarkText, ...]
     leds_m: tuple[tuple[float, float], ...]
     lights_m: tuple[tuple[float, float], ...] = ()
     paths_m: dict[str, tuple[tuple[float, float], ...]] = {}

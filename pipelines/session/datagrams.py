@@ -15,7 +15,7 @@ from pathlib import Path
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import make_session_root, session_root
-from telepresence.haptics.sample import SAMPLE_OCTETS
+from telepresence.haptics.axes import MOST_SAMPLE_OCTETS, may_be_sample
 
 #: Connections that wait for the session to take them.
 _WAITING = 8
@@ -243,8 +243,8 @@ def receive(udp: socket.socket, most_octets: int = MAX_DATAGRAM_OCTETS) -> bytes
 def newest_sample(udp: socket.socket) -> bytes | None:
     """Return the newest haptic sample that waits, or None. All else that waits is dropped."""
     newest = None
-    while (datagram := receive(udp, SAMPLE_OCTETS + 1)) is not None:
-        if len(datagram) == SAMPLE_OCTETS:
+    while (datagram := receive(udp, MOST_SAMPLE_OCTETS + 1)) is not None:
+        if may_be_sample(datagram):
             newest = datagram
     return newest
 

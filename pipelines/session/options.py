@@ -17,7 +17,7 @@ from pipelines.session.option_rows import COMMON_ROWS
 from pipelines.session.setup.former_names import INPUTS, current
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
-from pipelines.session.setup.table import NO_RADIO, Deadband, HandMode, PathForm, Setup
+from pipelines.session.setup.table import NO_RADIO, Deadband, ForceMode, HandMode, PathForm, Setup
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import SIMULATED
 from telepresence.link.profile import Repair
@@ -117,6 +117,10 @@ class StreamOptions:
         "what the hand feels: the robot's delayed force (direct), the wall that the "
         "robot's side has estimated, rendered at the joystick (mediated), that wall and all other "
         "force directly (auto), or auto from a round trip of 60 ms on (adaptive, the default)"
+    )
+    force: ForceMode | None = _robot(
+        "the hand feels the robot's force (felt, the default), or nothing (none): then commands go "
+        "at command_hz of the setup, and the pictures have the room"
     )
     deadband: Deadband | None = _robot(
         "leave out haptic samples that nobody would miss; the uplink video gets their room, as a "
@@ -353,7 +357,7 @@ def stream_options(args: argparse.Namespace) -> StreamOptions:
 
 def setup_changes(options: StreamOptions) -> Mapping[str, Any]:
     """What the options change in the setup."""
-    names = ("base_port", "deadband", "hand", "repair", "path", "path_batch_ms")
+    names = ("base_port", "deadband", "hand", "force", "repair", "path", "path_batch_ms")
     changes = {name: getattr(options, name) for name in names}
     changes["recorded_cameras"] = options.record_cameras
     if options.radio is not None:

@@ -108,11 +108,10 @@ class Simulation:
         joystick: JoystickDevice | None = None,
         files: bool = False,
     ) -> None:
-        slot_ns = setup.uplink.slot_ns
-        if not slot_ns == setup.downlink.slot_ns == CYCLE_NS:
+        self._up_slot_ns, self._down_slot_ns = setup.uplink.slot_ns, setup.downlink.slot_ns
+        if self._up_slot_ns % CYCLE_NS or self._down_slot_ns % CYCLE_NS:
             raise ConfigError(
-                f"setup {setup.name}: a simulation has slots of {CYCLE_NS} ns both ways, not "
-                f"{slot_ns} and {setup.downlink.slot_ns}"
+                f"setup {setup.name}: a simulation has slots of whole multiples of {CYCLE_NS} ns"
             )
         self.setup = setup
         self.topology = topology_of(setup, files=files)
@@ -293,11 +292,14 @@ class Simulation:
         see = self._sight()
         half_ns = CYCLE_NS // 2
         seldom = self._seldom
-        slot_ns = self._next_slot_ns
+        slot_ns, first_ns = self._next_slot_ns, self.start_ns
+        up_slot_ns, down_slot_ns = self._up_slot_ns, self._down_slot_ns
         while slot_ns < until_ns:
             advance(slot_ns)
-            ground_slot((), slot_ns)
-            space_slot((), slot_ns)
+            if not (slot_ns - first_ns) % up_slot_ns:
+                ground_slot((), slot_ns)
+            if not (slot_ns - first_ns) % down_slot_ns:
+                space_slot((), slot_ns)
             publish_backlogs(slot_ns)
             for way in ways:
                 way.handle_slot(slot_ns)
@@ -387,6 +389,7 @@ class Simulation:
             SafetyEnvelope(limits, delay_ns=self.setup.round_trip_ns),
             boot_id=boot_id,
             deadband=deadband,
+            command_hz=self.setup.paced_hz,
             mediated=mediated,
             residual=residual,
             walls_from_ns=self.setup.walls_from_ns,
@@ -399,6 +402,7 @@ class Simulation:
             probe,
             boot_id=boot_id,
             deadband=deadband,
+            command_hz=self.setup.paced_hz,
             mediated=mediated,
             residual=residual,
             adaptive=self.setup.hand == "adaptive",

@@ -1,7 +1,7 @@
 """Who drives what: the robot's haptic port one joystick, and the joystick one robot; never two.
 
 Stelzer et al. 2017, section 7: a gateway application lets the partner institute steer the robot in
-the place of the ISS. Here that is one explicit state at the robot; docs/rtc.md has its rules. In
+the place of the ISS. Here that is one explicit state at the robot; docs/webrtc.md has its rules. In
 each cycle: ask `takes` for each datagram, then call `handle_robot`.
 
 In the partner institute's experiments the data goes directly between space and its own task board.
@@ -21,6 +21,7 @@ from typing import NamedTuple
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.metrics import Newest
+from telepresence.haptics.axes import may_be_sample
 from telepresence.haptics.sample import (
     FLAG_FEEDBACK,
     SAMPLE_OCTETS,
@@ -55,7 +56,7 @@ class AuthorityEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuthorityMetrics:
-    """Who drives the robot, where a partner may, too (docs/rtc.md)."""
+    """Who drives the robot, where a partner may, too (docs/webrtc.md)."""
 
     #: `operator` or `partner`; null: nobody.
     authority: Newest[Authority] | None
@@ -182,31 +183,33 @@ class PartnerBoard:
     def handle_joystick(self, data: bytes, now_ns: int) -> bool:
         """A datagram of the joystick in space came; return whether it is for our robot."""
         ownership = self.ownership
-        if is_greeting(data):
+        # Behind these octets are zeros, one axis after the other.
+        if is_greeting(head := data[:SAMPLE_OCTETS]):
             try:
-                partner = read_greeting(data, feedback=False).partner
+                partner = read_greeting(head, feedback=False).partner
             except ProtocolError:
                 # Our link counts it.
                 return not self.left_out
             ownership.handle_order(Authority.PARTNER if partner else Authority.OPERATOR, now_ns)
         if ownership.authority is Authority.PARTNER:
             self._to_partner = data
-            if not is_greeting(data):
-                self._wanted = data
+            if not is_greeting(head):
+                self._wanted = head
             return False
         self._wanted = self._felt = b""
         return ownership.takes(Authority.OPERATOR)
 
     def handle_partner(self, data: bytes, now_ns: int) -> None:
         """A datagram of the partner's robot came. Garbage is counted; this never raises."""
-        if len(data) != SAMPLE_OCTETS or not data[2] & FLAG_FEEDBACK:
+        if not may_be_sample(data) or not data[2] & FLAG_FEEDBACK:
             self.ownership.garbage += 1
             return
         self._heard_ns = now_ns
         if self.ownership.authority is Authority.PARTNER:
             self._to_joystick = data
-            if not is_greeting(data):
-                self._felt = data
+            # What is behind these octets is of the axes behind x and y.
+            if not is_greeting(head := data[:SAMPLE_OCTETS]):
+                self._felt = head
 
     def is_there(self, now_ns: int) -> bool:
         """Whether the partner's robot is heard."""

@@ -79,7 +79,9 @@ class RobotAxes(_Axes):
 
     _force = "push_n"
 
-    def __init__(self, axes: Sequence[MoreAxis], model: RobotControllerModel) -> None:
+    def __init__(
+        self, axes: Sequence[MoreAxis], model: RobotControllerModel, *, passive: bool = True
+    ) -> None:
         self.axes = axes
         self.controllers: Sequence[RobotController] = [
             RobotController(
@@ -90,7 +92,7 @@ class RobotAxes(_Axes):
                     half_width_m=axis.half_m,
                 ),
                 x_m=axis.position_m,
-                passive=not axis.rate,
+                passive=passive and not axis.rate,
             )
             for axis in axes
         ]
@@ -163,9 +165,17 @@ class JoystickAxes(_Axes):
 
     _force = "force_n"
 
-    def __init__(self, axes: Sequence[MoreAxis], model: JoystickControllerModel | None) -> None:
+    def __init__(
+        self,
+        axes: Sequence[MoreAxis],
+        model: JoystickControllerModel | None,
+        *,
+        passive: bool = True,
+    ) -> None:
         self.axes = axes
-        self.controllers: Sequence[JoystickController] = [JoystickController(model) for _ in axes]
+        self.controllers: Sequence[JoystickController] = [
+            JoystickController(model, passive=passive) for _ in axes
+        ]
         self._acted = [0] * len(axes)
 
     def step(self, feedback: Feedback | None, limit_n: float, last_ns: int) -> None:

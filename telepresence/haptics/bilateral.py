@@ -126,6 +126,7 @@ class JoystickSide(_Side):
     mediated: the force is that of the newest wall of `handle_wall`, not the robot's delayed one.
     residual: with `mediated`, also what that wall does not explain of the robot's.
     adaptive: with both, directly until the robot tells its first wall.
+    felt: if False, the hand feels no force and no damping.
 
     force_x_n, force_y_n: the force displayed now (N).
     """
@@ -142,7 +143,10 @@ class JoystickSide(_Side):
         mediated: bool = False,
         residual: bool = False,
         adaptive: bool = False,
+        felt: bool = True,
     ) -> None:
+        self.felt = felt
+        passive = passive and felt
         self.handle: Handle = handle or HeldJoystick(hand=Hand(hand, script=script))
         self.controller: JoystickController = (
             MediatedController(model, passive=passive, residual=residual, adaptive=adaptive)
@@ -152,7 +156,8 @@ class JoystickSide(_Side):
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
         self._last_ns = NS_PER_MS
         self._restarts = 0
-        self.axes = JoystickAxes(self.handle.more, model) if self.handle.more else None
+        more = self.handle.more
+        self.axes = JoystickAxes(more, model, passive=passive) if more else None
         super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
@@ -189,11 +194,11 @@ class JoystickSide(_Side):
         if dt_ns <= 0:
             return
         handle, controller = self.handle, self.controller
-        controller.limit_n = handle.force_limit_n
+        controller.limit_n = limit_n = handle.force_limit_n if self.felt else 0.0
         # The handle covered its last distance in the previous step's time, not in this step's.
         fx, fy = controller.step(feedback, handle.x_m, handle.y_m, self._last_ns)
         if self.axes is not None:
-            self.axes.step(feedback, handle.force_limit_n, self._last_ns)
+            self.axes.step(feedback, limit_n, self._last_ns)
         self._last_ns = dt_ns
         self.force_x_n, self.force_y_n = fx, fy
         handle.step(fx, fy, dt_ns)
@@ -214,6 +219,7 @@ class RobotSide(_Side):
     button pressed.
 
     plane: which of x and y the hand drives; the others stay.
+    felt: if False, the hand feels no force, so no energy passes.
 
     force_x_n, force_y_n: the coordinating force (N). For `robot`, see `Robot`.
     A robot that is not coupled follows its own mode, and the operator feels nothing.
@@ -233,7 +239,10 @@ class RobotSide(_Side):
         ownership: ControlAuthority | None = None,
         envelope: SafetyEnvelope | None = None,
         plane: Sequence[str] = ("x", "y"),
+        felt: bool = True,
     ) -> None:
+        self.felt = felt
+        passive = passive and felt
         self.robot = robot = robot or Robot(board=board)
         #: None: both.
         self._plane = None if {"x", "y"} <= {*plane} else ("x" in plane, "y" in plane)
@@ -250,7 +259,8 @@ class RobotSide(_Side):
         self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
         )
-        self.axes = RobotAxes(robot.more, self.controller.model) if robot.more else None
+        model = self.controller.model
+        self.axes = RobotAxes(robot.more, model, passive=passive) if robot.more else None
         self.link: HapticLink[Feedback, Command] = link or robot_link()
         assert isinstance(self.link.session, RobotSession)
         self._session = self.link.session

@@ -1,7 +1,7 @@
 """Perceptual deadband: do not send samples whose difference the operator cannot feel.
 
 A sample is left out while its value lies within a deadband around the value sent last. The
-receiver holds that value. docs/haptics-sample.md has the rules, and why it stays passive.
+receiver holds that value. docs/haptics.md has the rules, and why it stays passive.
 
 Sources: P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss, "Perception-based data
 reduction and transmission of haptic data in telepresence and teleaction systems", IEEE Trans.
@@ -75,6 +75,13 @@ class Deadband:
     def handle_gap(self, now_ns: int) -> None:
         """The peer has met a burst of losses: leave nothing out for `WHOLE_NS`."""
         self._whole_until_ns = now_ns + WHOLE_NS
+
+    def rests(self, now_ns: int) -> bool:
+        """Whether nothing may be sent in this cycle."""
+        return False
+
+    def handle_other(self, now_ns: int) -> None:
+        """A greeting or an echo is sent in the place of a sample."""
 
     def handle_sample(self, value: Any, holding: bool, now_ns: int) -> Any:
         """Return the sample to send for `value` (a `Command` or a `Feedback`), or None.

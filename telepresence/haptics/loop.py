@@ -11,6 +11,7 @@ from telepresence.haptics.axes import AxisTotals
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
 from telepresence.haptics.echo import EchoProbe, EchoReturn
 from telepresence.haptics.haptic_metrics import SamplesReceived, SamplesSent
+from telepresence.haptics.pacing import FEEDBACK_HZ, Pace, lasts_ns
 from telepresence.haptics.sample import (
     FLAG_ECHOES,
     FLAG_GREETING,
@@ -79,8 +80,9 @@ class HapticLink(Generic[Out, In]):
     in the place of each sample.
 
     session: this end of the session.
-    deadband: leaves out samples whose difference the peer would not feel. A sample left out has no
-    sequence number, so it does not count as lost. Neither has a greeting.
+    deadband: leaves out samples whose difference the peer would not feel, or all but those of a
+    rate. A sample left out has no sequence number, so it does not count as lost. Neither has a
+    greeting.
     more: the number of axes behind x and y.
 
     counts: of what came. numbers: of the samples received. hearing: samples of the peer arrive.
@@ -94,7 +96,7 @@ class HapticLink(Generic[Out, In]):
         session: JoystickSession | RobotSession,
         *,
         max_age_ns: int = MAX_AGE_NS,
-        deadband: Deadband | None = None,
+        deadband: Deadband | Pace | None = None,
         more: int = 0,
     ) -> None:
         self.max_age_ns = max_age_ns
@@ -192,13 +194,16 @@ class HapticLink(Generic[Out, In]):
         if self.hearing and now_ns - self.numbers.newest_ns > self.max_age_ns:
             self.hearing = False
         local, self._local = self._local, None
-        if local is None:
+        band = self.deadband
+        if local is None or (band is not None and band.rests(now_ns)):
             return None
         axes, totals, holding = self._axes, self._totals, not self.hearing
         if (instead := self._poll_greeting(now_ns, holding)) is not None:
+            if band is not None:
+                band.handle_other(now_ns)
             return instead if axes is None else instead + bytes(axes.octets)
-        if self.deadband is not None:
-            local = self.deadband.handle_sample(local, holding, now_ns)
+        if band is not None:
+            local = band.handle_sample(local, holding, now_ns)
             if local is None:
                 return None
         totals.granted_uj = local.energy_uj
@@ -247,7 +252,8 @@ class HapticLink(Generic[Out, In]):
 
     def sent_metrics(self) -> SamplesSent:
         """Return the counters of what this end sends."""
-        left_out = None if self.deadband is None else self.deadband.left_out
+        band = self.deadband
+        left_out = band.left_out if isinstance(band, Deadband) else None
         return SamplesSent(sent=self.sent, left_out=left_out)
 
     def received_metrics(self) -> SamplesReceived:
@@ -312,13 +318,21 @@ class HapticLink(Generic[Out, In]):
 
 
 def joystick_link(
-    *, boot_id: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False, more: int = 0
+    *,
+    boot_id: int = 1,
+    max_age_ns: int = MAX_AGE_NS,
+    deadband: bool = False,
+    command_hz: int | None = None,
+    more: int = 0,
 ) -> HapticLink[Command, Feedback]:
     """Return the joystick's end: it sends commands and receives feedback.
 
+    command_hz: the rate of commands without force feedback; None: a sample each cycle.
     more: the number of axes behind x and y.
     """
-    band = command_deadband() if deadband else None
+    band = command_deadband() if deadband else None if command_hz is None else Pace(command_hz)
+    if command_hz is not None:
+        max_age_ns = max(max_age_ns, lasts_ns(FEEDBACK_HZ))
     session = JoystickSession(boot_id)
     return HapticLink(
         pack_command, read_feedback, session, max_age_ns=max_age_ns, deadband=band, more=more
@@ -326,10 +340,17 @@ def joystick_link(
 
 
 def robot_link(
-    *, boot_id: int = 1, max_age_ns: int = MAX_AGE_NS, deadband: bool = False, more: int = 0
+    *,
+    boot_id: int = 1,
+    max_age_ns: int = MAX_AGE_NS,
+    deadband: bool = False,
+    command_hz: int | None = None,
+    more: int = 0,
 ) -> HapticLink[Feedback, Command]:
     """Return the robot's end: it sends feedback and receives commands."""
-    band = feedback_deadband() if deadband else None
+    band = feedback_deadband() if deadband else None if command_hz is None else Pace(FEEDBACK_HZ)
+    if command_hz is not None:
+        max_age_ns = max(max_age_ns, lasts_ns(command_hz))
     session = RobotSession(boot_id)
     return HapticLink(
         pack_feedback, read_command, session, max_age_ns=max_age_ns, deadband=band, more=more

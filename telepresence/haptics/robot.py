@@ -5,10 +5,11 @@ coupling between the joints are compensated, so the tip is a point mass with the
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Literal, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.errors import ConfigError
 from telepresence.haptics.axes import (
     AxisCapabilities,
     MoreAxis,
@@ -49,6 +50,26 @@ class JointReading(NamedTuple):
     torque_n_m: float
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Mark:
+    """What stands in a robot's workspace, for maps: a place, or an obstacle with its half sizes.
+
+    Lengths in m, from the middle of the workspace. Raises ConfigError for what is not a number.
+    """
+
+    x_m: float
+    y_m: float
+    half_width_m: float = 0.0
+    half_height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            least = -1000.0 if each.name in ("x_m", "y_m") else 0.0
+            if not least <= value <= 1000.0:
+                raise ConfigError(f"a mark's {each.name} is {value:g}: take {least:g} to 1000")
+
+
 #: A robot that takes forces measures and acts at least this often (Hz). At 100 Hz it swings at a
 #: wall with up to 17 N in 4 of 10 cells; at 500 Hz it does not.
 LEAST_FORCE_HZ = 500
@@ -62,16 +83,19 @@ class RobotCapabilities:
     takes: "force" (N at the tip; at `LEAST_FORCE_HZ` or faster), or "position" for a robot that
     only takes places: then the session moves a virtual mass by the forces, and the robot follows
     its place.
+    force: "none" if it measures no force of its surroundings: the session then is one without.
     force_limit_n: per axis. speed_m_s: of the tip.
     half_width_m, half_height_m: of the workspace, from its middle.
     more: the axes behind x and y; the driver then has the methods of `MoreAxes`.
     runs_alone: its controller goes on between cycles, and must stop after 50 ms without one.
     two_hands: its hand and that of its partner's arm can meet, and pass a ball.
+    marks: what stands in its workspace, by name, for the pages' map.
     sources: its own cameras and microphones, by input: SPECs, where the user gives no other.
     """
 
     name: str
     takes: Literal["force", "position"] = "force"
+    force: Literal["felt", "none"] = "felt"
     force_limit_n: float = 30.0
     speed_m_s: float = 0.5
     half_width_m: float = 0.15
@@ -79,6 +103,7 @@ class RobotCapabilities:
     more: tuple[AxisCapabilities, ...] = ()
     runs_alone: bool = False
     two_hands: bool = False
+    marks: Mapping[str, Mark] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -136,17 +136,29 @@ def capabilities_of(spec: str) -> RobotCapabilities | None:
     return getattr(load_robot(spec), "capabilities", None)
 
 
-def check_robot(spec: str, axes: Sequence[str] = ()) -> None:
-    """Raise ConfigError if `spec` names no robot, or one with other axes; it stays off."""
+def check_robot(spec: str, axes: Sequence[str] = (), *, felt: bool = True) -> None:
+    """Raise ConfigError if `spec` names no robot, or one that does not fit; it stays off.
+
+    felt: the session needs a robot that measures forces.
+    """
     capabilities = getattr(load_robot(spec, axes), "capabilities", None)
     if capabilities is not None:
         check_axes(f"robot {spec}", capabilities.more, axes)
+        _check_force(spec, capabilities, felt=felt)
 
 
-def open_robot(spec: str, axes: Sequence[str] = ()) -> Robot:
+def _check_force(spec: str, capabilities: RobotCapabilities, *, felt: bool) -> None:
+    if felt and capabilities.force == "none":
+        raise ConfigError(
+            f"robot {spec}: it measures no force, so the hand can feel none: add --force none, or "
+            'force = "none" to the setup'
+        )
+
+
+def open_robot(spec: str, axes: Sequence[str] = (), *, felt: bool = False) -> Robot:
     """Return the robot that `spec` names, with power.
 
-    axes: those behind x and y; ConfigError for a robot that has others.
+    axes: those behind x and y; ConfigError for a robot that has others. felt: as of `check_robot`.
     """
     made = load_robot(spec, axes)
     try:
@@ -155,6 +167,8 @@ def open_robot(spec: str, axes: Sequence[str] = ()) -> Robot:
         raise type(error)(f"robot {spec}: {error}") from error
     try:
         check_axes(f"robot {spec}", [axis.capabilities for axis in robot.more], axes)
+        if robot.capabilities is not None:
+            _check_force(spec, robot.capabilities, felt=felt)
     except ConfigError:
         robot.close()
         raise

@@ -57,7 +57,7 @@ SUPERVISION_MESSAGES_PER_S = 2 + 0.5
 
 def supervision_bps(profile: LinkProfile) -> int:
     """Return what supervision takes below haptics: each message takes a whole packet zone."""
-    return ceil(SUPERVISION_MESSAGES_PER_S * 8 * profile.packet_zone_octets)
+    return ceil(SUPERVISION_MESSAGES_PER_S * 8 * profile.usual_zone_octets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +97,7 @@ class StreamNeed:
         octets = RESUME_OCTETS if self.level in _INTERRUPTING else 0
         length = length_octets(profile)
         payload_octets = self.payload_bps / 8 / self.packets_per_s
-        if self.header_octets + payload_octets + length <= profile.packet_zone_octets:
+        if self.header_octets + payload_octets + length <= profile.usual_zone_octets:
             # It can end in the zone in which it began, and so can a packet that it interrupts.
             octets += 2 * length if self.level in _INTERRUPTING else length
         return ceil(octets * self.packets_per_s * 8)

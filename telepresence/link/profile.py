@@ -17,7 +17,7 @@ SUPERVISION_OCTETS = 12
 _IDLE_VCID = 63
 #: Largest pointer that is added to a VCID.
 _LARGEST_VCID_POINTER = 31
-#: The pointer needs the values 0 .. zone - 1, the end, and four more codes (docs/link-format.md).
+#: The pointer needs the values 0 .. zone - 1, the end, and four more codes (docs/wire-formats.md).
 _POINTER_CODES = 4
 _LARGEST_ZONE_OF_VCID_POINTER = _LARGEST_VCID_POINTER - _POINTER_CODES
 _LARGEST_ZONE_OF_MPDU_POINTER = (1 << 11) - 1 - _POINTER_CODES
@@ -34,10 +34,11 @@ class LinkProfile:
     insert_octets: the insert zone, which carries one haptic sample. A frame without a sample has no
         insert zone; its packet zone is longer instead.
     slot_ns: one frame is sent in each slot.
+    sample_hz: the most samples a second for which room is kept; None: one in each slot.
     scid, vcid: spacecraft and virtual channel identifier in the primary header (0..255, 0..62; 63
         is for the standard's idle frames).
     pointer_in_vcid: the first header pointer, 0 to 31, is added to `vcid` instead of an M_PDU
-        header (docs/link-format.md gives the reason). Only for insert and packet zones of together
+        header (docs/wire-formats.md gives the reason). Only for insert and packet zones of together
         up to 27 octets, and a `vcid` up to 31.
     repair: what restores lost frames (`telepresence.link.repair`): nothing, idle zones, or while
         loss is reported reserved ones, too.
@@ -49,6 +50,7 @@ class LinkProfile:
     frame_octets: int
     insert_octets: int = 12
     slot_ns: int = NS_PER_MS
+    sample_hz: int | None = None
     scid: int
     vcid: int = 1
     pointer_in_vcid: bool = False
@@ -104,6 +106,23 @@ class LinkProfile:
         """The packet zone of a frame without a sample."""
         return self.packet_zone_octets + self.insert_octets
 
+    @property
+    def usual_zone_octets(self) -> int:
+        """The packet zone of most frames, if samples have their rate."""
+        plain = self.sample_hz is not None and 2 * self.samples_per_s < NS_PER_S / self.slot_ns
+        return self.largest_zone_octets if plain else self.packet_zone_octets
+
+    @property
+    def samples_per_s(self) -> float:
+        """The samples a second for which room is kept."""
+        slots = NS_PER_S / self.slot_ns
+        return slots if self.sample_hz is None else min(self.sample_hz, slots)
+
+    @property
+    def sample_bps(self) -> int:
+        """What samples take, in bit/s."""
+        return round(self.insert_octets * 8 * self.samples_per_s)
+
     def _bps(self, octets: int) -> int:
         return octets * 8 * NS_PER_S // self.slot_ns
 
@@ -115,7 +134,7 @@ class LinkProfile:
     @property
     def media_bps(self) -> int:
         """The rate in bit/s of all levels below haptics, headers included, with all samples."""
-        return self._bps(self.packet_zone_octets)
+        return self._bps(self.largest_zone_octets) - self.sample_bps
 
 
 #: Ground to space: 32 octets a millisecond, 24 of them for applications.

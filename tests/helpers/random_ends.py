@@ -59,6 +59,8 @@ class Ends:
         self.late_ms = {}
         self.given_ms = self.young_ms = 0
         self.resume_at = self.release_at = -1
+        #: With force, and without.
+        self.hz = (None, 50, None, 250)[seed % 4]
         self.start_joystick()
         self.start_robot()
         #: When the robot knows, since when a press counts, and what.
@@ -73,12 +75,14 @@ class Ends:
     def start_joystick(self):
         self.lives += 1
         self.handle = OperatedHandle(PageDevice(), paused=self.paused)
-        self.space = JoystickSide(link=joystick_link(boot_id=self.lives), handle=self.handle)
+        link = joystick_link(boot_id=self.lives, command_hz=self.hz)
+        self.space = JoystickSide(link=link, handle=self.handle, felt=self.hz is None)
 
     def start_robot(self):
         self.lives += 1
         self.envelope = SafetyEnvelope(LIMITS, now_ns=self.now_ms * MS)
-        self.ground = RobotSide(link=robot_link(boot_id=self.lives), envelope=self.envelope)
+        link = robot_link(boot_id=self.lives, command_hz=self.hz)
+        self.ground = RobotSide(link=link, envelope=self.envelope, felt=self.hz is None)
         self.born_ms = self.now_ms
 
     def slack_ms(self):

@@ -76,12 +76,13 @@ test("a press while the page has no focus counts only after its release; unplugg
 });
 
 /** A pointer on a surface that is pressed at (20, 10), and what happens in the window. */
-function pointed() {
-  const { control } = steered();
+function pointed(head) {
+  const { line, control } = steered();
+  line.state.joystick = { axes: [{ position: 0.1, half_range: 0.2 }, { position: 0, half_range: 1 }] };
   const surface = new Element();
   surface.setPointerCapture = () => undefined;
   surface.hasPointerCapture = () => surface.captured;
-  steerByPointer(surface, control, () => ({ x: 100, y: 50 }));
+  steerByPointer(surface, control, () => ({ x: 100, y: 50 }), head);
   const fields = { pointerId: 1, buttons: 1, clientX: 20, clientY: 10, isPrimary: true, button: 0 };
   const press = (more) => surface.dispatchEvent(event("pointerdown", { ...fields, ...more }, PointerEvent));
   const send = (name, more) => happen(name, { ...fields, ...more }, PointerEvent);
@@ -103,6 +104,13 @@ test("a pointer drags from where the handle is, up is up, and only the primary b
   assert.equal(control.source, null);
   send("pointermove", { clientX: 90 });
   assert.equal(control.target, null);
+});
+
+test("on the picture of a robot with a head a drag turns it, and x and y stay", () => {
+  const { control, press, send } = pointed(() => ({ pan: 1, tilt: 0 }));
+  press();
+  send("pointermove", { clientX: 70, clientY: 0 });
+  assert.deepEqual([control.target, control.axisTarget(1), control.axisTarget(0)], [{ x: 0, y: 0 }, 0.5, 0.7]);
 });
 
 test("a pointer whose release nobody saw, or that left the window, lets go", () => {

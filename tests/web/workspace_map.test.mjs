@@ -64,6 +64,17 @@ test("a start has a dashed way to it until the handle is there; a lit LED is lar
   assert.deepEqual(radii(null), [9, 9]);
 });
 
+test("a robot of one's own has its marks on the map, and no wall of ours", () => {
+  const map = new WorkspaceMap();
+  sized(map, 448, 448);
+  const marks = [{ name: "bin", x_m: 0.05, y_m: 0, half_width_m: 0.02, half_height_m: 0.01 }];
+  const own = drawn(map, { board: { wall_x_m: null, leds_m: [], marks } });
+  assert.deepEqual([own.of("fillText").map(([text]) => text), own.of("clip").length], [["bin"], 0]);
+  const scale = map.halfPixels().x / WORKSPACE.half_width_m;
+  assert.deepEqual(own.of("strokeRect").at(-1).slice(2).map(Math.round), [0.04 * scale, 0.02 * scale].map(Math.round));
+  assert.equal(drawn(map).of("clip").length, 1);
+});
+
 test("a contour is closed, a place behind the camera is left out, and a spring is pulled", () => {
   const context = new Element().context;
   const at = (xM, yM) => [xM, yM];

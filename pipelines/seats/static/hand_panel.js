@@ -66,7 +66,9 @@ class HandPanel extends HTMLElement {
     const picture = document.querySelector(this.getAttribute("picture") ?? "picture-view");
     steerByPointer(this.#map.canvas, control, () => this.#map.halfPixels());
     if (picture instanceof HTMLElement) {
-      steerByPointer(picture, control, () => this.#pixelsOf(picture));
+      const axis = (/** @type {string} */ wanted) => (connection.state?.joystick?.axes ?? []).findIndex(({ name }) => name === wanted);
+      const head = () => ({ pan: axis("pan"), tilt: axis("tilt") });
+      steerByPointer(picture, control, () => this.#pixelsOf(picture), head);
     }
     steerByKeys(keyboard, control, () => {
       const { half_width_m: x, half_height_m: y } = this.#workspace;

@@ -43,7 +43,8 @@ class RobotMap extends HTMLElement {
       }
       if (connection.hello === null || handle === drawn) return;
       drawn = handle;
-      const { workspace, board } = connection.hello;
+      const { board } = connection.hello;
+      const workspace = { half_width_m: board.width_m / 2, half_height_m: board.height_m / 2 };
       this.#map.show({ workspace, board, handle, target: handle, start: null });
     });
   }

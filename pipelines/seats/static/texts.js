@@ -40,11 +40,19 @@
  */
 
 /**
- * The robot's task board; its middle is (0, 0). With tasks, lights_m: of the LED panel; paths_m:
- * by goal, the way that is to be followed; spring_m: where the spring begins.
- * @typedef {{width_m: number, height_m: number, wall_x_m: number, leds_m: [number, number][],
- *   lights_m: [number, number][], paths_m: Record<string, [number, number][]>, spring_m: [number,
- *   number]}} BoardText
+ * What stands in the robot's workspace: a place, or an obstacle with its half sizes.
+ * @typedef {{name: string, x_m: number, y_m: number, half_width_m: number, half_height_m: number}}
+ *   MarkText
+ */
+
+/**
+ * The robot's workspace, with its middle at (0, 0), and the task board in it, if there is one.
+ * wall_x_m: null without the board. marks: what the robot or the setup names. With tasks,
+ * lights_m: of the LED panel; paths_m: by goal, the way that is to be followed; spring_m: where
+ * the spring begins.
+ * @typedef {{width_m: number, height_m: number, wall_x_m: number | null, marks: MarkText[],
+ *   leds_m: [number, number][], lights_m: [number, number][], paths_m: Record<string, [number,
+ *   number][]>, spring_m: [number, number]}} BoardText
  */
 
 /**

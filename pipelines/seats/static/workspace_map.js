@@ -1,5 +1,5 @@
 /**
- * A map of the workspace: wall, LEDs, handle, where the hand wants it, and the force as an arrow
+ * A map of the workspace: wall, LEDs, marks, handle, where the hand wants it, and the force as an arrow
  * at the stylus. y is up.
  *
  * @import { BoardText, PanelText } from "./texts.js"
@@ -93,27 +93,19 @@ export class WorkspaceMap {
     context.lineTo(width / 2, height / 2 + halfY);
     context.stroke();
 
-    // The wall, hatched on its solid side.
-    const wall = across(board.wall_x_m);
-    context.save();
-    context.beginPath();
-    context.rect(wall, height / 2 - halfY, Math.max(0, width / 2 + halfX - wall), 2 * halfY);
-    context.clip();
-    context.strokeStyle = paint("--quiet");
-    context.globalAlpha = 0.45;
-    context.beginPath();
-    for (let y = -halfX - halfY; y < halfX + halfY; y += 9) {
-      context.moveTo(wall, height / 2 + y + 40);
-      context.lineTo(wall + 2 * halfX, height / 2 + y + 40 - 2 * halfX);
+    for (const mark of board.marks ?? []) {
+      const [x, y] = [across(mark.x_m), down(mark.y_m)];
+      const [wide, high] = [Math.max(4, mark.half_width_m * scale), Math.max(4, mark.half_height_m * scale)];
+      context.strokeStyle = context.fillStyle = paint("--quiet");
+      context.lineWidth = 1.5;
+      context.strokeRect(x - wide, y - high, 2 * wide, 2 * high);
+      context.font = "11px system-ui, sans-serif";
+      context.textAlign = xRoom(x, width);
+      context.textBaseline = "bottom";
+      context.fillText(mark.name, x, y - high - 2);
     }
-    context.stroke();
-    context.restore();
-    context.strokeStyle = paint("--text");
-    context.lineWidth = 3;
-    context.beginPath();
-    context.moveTo(wall, height / 2 - halfY);
-    context.lineTo(wall, height / 2 + halfY);
-    context.stroke();
+
+    if (board.wall_x_m !== null) this.#drawWall(context, across(board.wall_x_m), halfX, halfY, paint);
 
     // The LEDs, with their names.
     context.font = "11px system-ui, sans-serif";
@@ -190,6 +182,34 @@ export class WorkspaceMap {
     const newton = (ARROW * Math.min(width, height)) / FULL_N;
     context.strokeStyle = context.fillStyle = paint("--force");
     drawArrow(context, x, y, handle.forceXN * newton, -handle.forceYN * newton, 4);
+  }
+
+  /**
+   * The wall, hatched on its solid side.
+   * @param {CanvasRenderingContext2D} context @param {number} wall @param {number} halfX @param {number} halfY
+   * @param {(name: string) => string} paint
+   */
+  #drawWall(context, wall, halfX, halfY, paint) {
+    const { width, height } = this.#sharp;
+    context.save();
+    context.beginPath();
+    context.rect(wall, height / 2 - halfY, Math.max(0, width / 2 + halfX - wall), 2 * halfY);
+    context.clip();
+    context.strokeStyle = paint("--quiet");
+    context.globalAlpha = 0.45;
+    context.beginPath();
+    for (let y = -halfX - halfY; y < halfX + halfY; y += 9) {
+      context.moveTo(wall, height / 2 + y + 40);
+      context.lineTo(wall + 2 * halfX, height / 2 + y + 40 - 2 * halfX);
+    }
+    context.stroke();
+    context.restore();
+    context.strokeStyle = paint("--text");
+    context.lineWidth = 3;
+    context.beginPath();
+    context.moveTo(wall, height / 2 - halfY);
+    context.lineTo(wall, height / 2 + halfY);
+    context.stroke();
   }
 }
 

@@ -10,20 +10,26 @@ from functools import cache
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin
 
+from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
 from kontur_av.media import parse_size
 from kontur_av.redaction import shown_spec
 from pipelines.session.setup.table import RtcLeg, Setup, VideoStream, VoiceStream
 from telepresence.link.profile import DOWNLINK, UPLINK, LinkProfile
 from telepresence.link.radio.profile import RadioProfile
 
+#: A frame lasts so long at most; a command is used for 10 ms at least.
+MOST_SLOT_MS = 4
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Link:
     frame_octets: int | None = None
+    slot_ms: int = 1
 
 
 @cache
-def _file_kind(kind: type) -> type[Any]:
+def file_kind(kind: type) -> type[Any]:
     """The dataclass of what a file has for a `kind`."""
     rows = [_file_field(each, each.type) for each in fields(kind)]
     rows = [row for row in rows if row[0] != "height" and (row[0] != "name" or kind is Setup)]
@@ -47,14 +53,14 @@ def _file_field(of: Field[Any], hint: Any) -> tuple[str, Any, Any]:
     elif inner is RadioProfile or get_origin(hint) is Literal:
         hint = str
     elif inner in (VideoStream, VoiceStream, RtcLeg):
-        hint = _file_kind(inner) | None if default is None else _file_kind(inner)
+        hint = file_kind(inner) | None if default is None else file_kind(inner)
     kept: Any = {"default": default, "default_factory": of.default_factory}
     kept = {key: value for key, value in kept.items() if value is not MISSING}
     return name, hint, field(**kept, metadata=of.metadata)
 
 
 #: What a setup's file holds; its fields are those of `Setup`.
-SETUP_FILE = _file_kind(Setup)
+SETUP_FILE = file_kind(Setup)
 
 
 def setup_values(entry: Any, name: str = "") -> Mapping[str, Any]:
@@ -73,7 +79,7 @@ def setup_values(entry: Any, name: str = "") -> Mapping[str, Any]:
         elif key == "coded":
             value = None if value == "auto" else parse_size(value, f"{name}.coded")
         elif isinstance(value, _Link):
-            value = _profile(UPLINK if key == "uplink" else DOWNLINK, value.frame_octets)
+            value = _profile(UPLINK if key == "uplink" else DOWNLINK, value, key)
         elif (kind := getattr(value, "kind", None)) is not None:
             own = {} if kind is RtcLeg else {"name": key}
             value = kind(**own, **setup_values(value, key))
@@ -81,11 +87,14 @@ def setup_values(entry: Any, name: str = "") -> Mapping[str, Any]:
     return values
 
 
-def _profile(profile: LinkProfile, frame_octets: int | None) -> LinkProfile:
-    octets = profile.frame_octets if frame_octets is None else frame_octets
+def _profile(profile: LinkProfile, link: _Link, name: str) -> LinkProfile:
+    octets = profile.frame_octets if link.frame_octets is None else link.frame_octets
+    if not 1 <= link.slot_ms <= MOST_SLOT_MS:
+        raise ConfigError(f"{name}.slot_ms is {link.slot_ms}: take 1 to {MOST_SLOT_MS}")
     # A longer frame has room for the standard's own pointer, and needs it.
     short = profile.pointer_in_vcid and octets <= profile.frame_octets
-    return replace(profile, frame_octets=octets, pointer_in_vcid=short)
+    slot_ns = link.slot_ms * NS_PER_MS
+    return replace(profile, frame_octets=octets, slot_ns=slot_ns, pointer_in_vcid=short)
 
 
 def setup_table(setup: Setup) -> Mapping[str, Any]:
@@ -110,7 +119,10 @@ def _written(thing: Any) -> Mapping[str, Any]:
         elif key.endswith("_bps"):
             key, value = key.replace("_bps", "_kbps"), value / 1000
         elif isinstance(value, LinkProfile):
-            value = {"frame_octets": value.frame_octets}
+            slot_ms = value.slot_ns // NS_PER_MS
+            value = {"frame_octets": value.frame_octets} | (
+                {} if slot_ms == 1 else {"slot_ms": slot_ms}
+            )
         elif hasattr(value, "__dataclass_fields__"):
             value = _written(value)
         elif isinstance(value, Mapping):

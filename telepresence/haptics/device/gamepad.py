@@ -23,12 +23,15 @@ from telepresence.haptics.device.stick import (
     EV_ABS,
     EV_FF,
     EV_KEY,
+    EV_REL,
     FF_RUMBLE,
     RUMBLE_NS,
     Axis,
     RumbleMeter,
     Stick,
     dead_man_of,
+    is_puck,
+    puck_axes,
     stick_axes,
 )
 
@@ -68,7 +71,8 @@ def find_gamepads(folder: Path = Path("/dev/input")) -> list[FoundGamepad]:
         with suppress(OSError):
             if _is_stick(device):
                 capabilities = device.capabilities(absinfo=False)
-                more = stick_axes(capabilities[EV_ABS], capabilities[EV_KEY])
+                codes = capabilities.get(EV_ABS) or capabilities[EV_REL]
+                more = stick_axes(codes, capabilities[EV_KEY])
                 found.append(FoundGamepad(str(node), device.name, more=more))
         device.close()
     return found
@@ -109,7 +113,7 @@ def open_gamepad(
     if dead_man_of(frozenset(device.capabilities().get(EV_KEY, ()))) is None:
         device.close()
         raise ConfigError(
-            f"evdev:{path} has no button to be the dead-man switch: take a controller with one"
+            f"evdev:{path} has no button to be the dead-man button: take a controller with one"
         )
     return GamepadDevice(device, axes)
 
@@ -123,11 +127,14 @@ class GamepadDevice:
     def __init__(self, device: Any, axes: Sequence[str] = ()) -> None:
         capabilities = device.capabilities(absinfo=True)
         self._device = device
+        described = capabilities.get(EV_ABS, ())
+        self._relative = not described
         self._stick = Stick(
             device.name,
-            {
-                code: Axis(info.value, info.min, info.max, info.flat)
-                for code, info in capabilities[EV_ABS]
+            puck_axes()
+            if self._relative
+            else {
+                code: Axis(info.value, info.min, info.max, info.flat) for code, info in described
             },
             frozenset(capabilities.get(EV_KEY, ())),
             rumble=FF_RUMBLE in capabilities.get(EV_FF, ()),
@@ -185,7 +192,8 @@ class GamepadDevice:
 
     def _ask_state(self) -> None:
         try:
-            raw = {code: self._device.absinfo(code).value for code in self._stick.codes}
+            codes = () if self._relative else self._stick.codes
+            raw = {code: self._device.absinfo(code).value for code in codes}
             self._stick.handle_state(raw, self._device.active_keys())
         except OSError:
             self._stick.handle_gone()
@@ -224,6 +232,8 @@ def feed(stick: Stick, device: Any) -> None:
 def _is_stick(device: Any) -> bool:
     capabilities = device.capabilities(absinfo=False)
     axes, keys = capabilities.get(EV_ABS, ()), capabilities.get(EV_KEY, ())
+    if is_puck(axes or capabilities.get(EV_REL, ()), keys):
+        return True
     return (
         ABS_X in axes
         and ABS_Y in axes

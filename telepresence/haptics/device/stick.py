@@ -1,7 +1,11 @@
-"""A game controller's stick and buttons: a core that receives events as Linux delivers them.
+"""A game controller's or a puck's axes and buttons: a core that gets events as Linux has them.
 
 Codes and meanings follow the kernel's `linux/input-event-codes.h` and the "Linux Gamepad
 Specification" (Documentation/input/gamepad.rst).
+
+A puck (SpaceMouse) has six axes that spring back, so each deflection is a speed: an axis goes on
+while the dead-man button is held, and stays otherwise. Older kernels tell its deflections as
+relative motions, again and again, but never a zero.
 
 A stick springs back within a few milliseconds when released. Such a jump would break the bilateral
 controller's bound for the next cycle. A filter with a hand's speed and acceleration follows it.
@@ -20,7 +24,7 @@ from telepresence.haptics.axes import (
 )
 from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 
-EV_SYN, EV_KEY, EV_ABS, EV_FF = 0x00, 0x01, 0x03, 0x15
+EV_SYN, EV_KEY, EV_REL, EV_ABS, EV_FF = 0x00, 0x01, 0x02, 0x03, 0x15
 SYN_DROPPED = 3
 ABS_X, ABS_Y = 0x00, 0x01
 _ABS_Z, _ABS_RX, _ABS_RY, _ABS_RZ, _ABS_THROTTLE = 0x02, 0x03, 0x04, 0x05, 0x06
@@ -32,6 +36,18 @@ _PAD_BUTTONS = (0x130, 0x131, 0x134, 0x133)
 _PAD_DEAD_MAN = 0x136  # BTN_TL, the left shoulder
 _STICK_BUTTONS = (0x121, 0x122, 0x123, 0x124)
 _STICK_DEAD_MAN = 0x120  # BTN_TRIGGER
+
+#: A puck's buttons, BTN_0 and on. x, y, z and their rotations have the codes 0 to 5, as REL_ and as
+#: ABS_: to the right, towards the user and down.
+_PUCK_BUTTONS = range(0x100, 0x110)
+PUCK_CODES = frozenset(range(6))
+#: The deflection of a puck whose kernel tells none, and the part around the middle that counts as
+#: rest. Chosen; pucks tell up to 350 to 500.
+_PUCK_MOST, _PUCK_FLAT = 350, 12
+#: With so many buttons, the last two of a puck close and open the gripper.
+_MANY_BUTTONS = 4
+#: Without a relative motion for this long, that axis is in its middle. Pucks tell one every 16 ms.
+_PUCK_REST_NS = 60 * NS_PER_MS
 
 #: Workspace that the stick's full travel is mapped to.
 HALF_WIDTH_M, HALF_HEIGHT_M = 0.1, 0.08
@@ -57,6 +73,16 @@ class Axis(NamedTuple):
     flat: int = 0
 
 
+def is_puck(axes: Collection[int], keys: Collection[int]) -> bool:
+    """Whether a device with these relative or absolute axes and keys is a puck."""
+    return {*axes} >= PUCK_CODES and any(key in _PUCK_BUTTONS for key in keys)
+
+
+def puck_axes() -> dict[int, Axis]:
+    """Return the axes of a puck whose kernel tells relative motions."""
+    return {code: Axis(0, -_PUCK_MOST, _PUCK_MOST, _PUCK_FLAT) for code in sorted(PUCK_CODES)}
+
+
 def dead_man_of(keys: frozenset[int]) -> int | None:
     """Return the dead-man button: left shoulder or trigger, else the first of `keys`, if any."""
     usual = _PAD_DEAD_MAN if _PAD_BUTTONS[0] in keys else _STICK_DEAD_MAN
@@ -79,6 +105,8 @@ class _Lead(NamedTuple):
 
 def _leads(axes: Collection[int], keys: Collection[int]) -> dict[str, _Lead]:
     """Return what leads each further axis that a controller with these axes and keys has."""
+    if is_puck(axes, keys):
+        return _puck_leads(keys)
     leads: dict[str, _Lead] = {
         "roll": _Lead(_ABS_HAT0X, stays=True),
         "pitch": _Lead(_ABS_HAT0Y, -1.0, stays=True),
@@ -99,6 +127,19 @@ def _leads(axes: Collection[int], keys: Collection[int]) -> dict[str, _Lead]:
     if _PAD_BUTTONS[0] in keys and "gripper" not in known and {_BTN_TL2, _BTN_TR2} <= set(keys):
         known["gripper"] = _Lead(_BTN_TR2, less=_BTN_TL2, stays=True)
     return known
+
+
+def _puck_leads(keys: Collection[int]) -> dict[str, _Lead]:
+    leads = {
+        "z": _Lead(_ABS_Z, -1.0, stays=True),
+        "roll": _Lead(_ABS_RY, -1.0, stays=True),
+        "pitch": _Lead(_ABS_RX, -1.0, stays=True),
+        "yaw": _Lead(_ABS_RZ, stays=True),
+    }
+    own = sorted(key for key in keys if key in _PUCK_BUTTONS)
+    if len(own) >= _MANY_BUTTONS:
+        leads["gripper"] = _Lead(own[-1], less=own[-2], stays=True)
+    return leads
 
 
 def stick_axes(axes: Collection[int], keys: Collection[int]) -> tuple[str, ...]:
@@ -158,7 +199,7 @@ class Stick:
     controller has them (`stick_axes`).
 
     Full travel is ±0.1 m along x and ±0.08 m along y, with +y up. The dead-man button is the left
-    shoulder (on a joystick: the trigger).
+    shoulder (on a joystick: the trigger; on a puck: the first button).
 
     needs_state: events were lost; query the kernel and call `handle_state`.
     """
@@ -172,11 +213,19 @@ class Stick:
         rumble: bool = False,
         more: Sequence[str] = (),
     ) -> None:
-        buttons = _PAD_BUTTONS if _PAD_BUTTONS[0] in keys else _STICK_BUTTONS
+        buttons: Sequence[int] = _PAD_BUTTONS if _PAD_BUTTONS[0] in keys else _STICK_BUTTONS
         self._dead_man_code = dead_man_of(keys)
-        kept = [code for code in buttons if code in keys and code != self._dead_man_code]
-        self._bits = {code: 1 << index for index, code in enumerate(kept)}
         leads = _leads(axes, keys)
+        self._puck = is_puck(axes, keys)
+        #: Of a puck: for how long each relative axis has been quiet.
+        self._quiet_ns: dict[int, int] = {}
+        used = {self._dead_man_code}
+        if self._puck:
+            buttons = _PUCK_BUTTONS
+            pairs = (lead for lead in leads.values() if lead.less is not None)
+            used |= {code for lead in pairs for code in (lead.code, lead.less)}
+        kept = [code for code in buttons if code in keys and code not in used][:4]
+        self._bits = {code: 1 << index for index, code in enumerate(kept)}
         # A robot's own axes get the leads that no other has.
         free = [name for name in ("yaw", "z", "roll", "pitch") if name in {*leads} - {*more}]
         own = [name for name in more if name not in AXIS_NAMES]
@@ -195,13 +244,16 @@ class Stick:
         self._axes = axes
         self._raw = {code: axis.value for code, axis in axes.items()}
         self._pressed: set[int] = set()
+        self._to = (0.0, 0.0)
         self._to = self._positions()
         self._x, self._y = (FollowedAxis(TAU_S, position_m) for position_m in self._to)
         self._zero_x = self._zero_y = 0.0
 
     def handle_event(self, kind: int, code: int, value: int) -> None:
         """Take one event of the controller; unknown events are ignored."""
-        if kind == EV_ABS:
+        if kind == EV_REL and self._puck:
+            self._raw[code], self._quiet_ns[code] = value, 0
+        elif kind == EV_ABS:
             if code in self._raw:
                 self._raw[code] = value
                 self._to = self._positions()
@@ -251,13 +303,37 @@ class Stick:
 
     def advance(self, dt_ns: int) -> None:
         """Advance the filter by `dt_ns`."""
+        if self._puck:
+            self._lead_puck(dt_ns)
         self._x.advance(self._to[0], dt_ns)
         self._y.advance(self._to[1], dt_ns)
         held = self._dead_man_code in self._pressed
         for axis in self._more:
             axis.advance(self._deflection(axis.lead), dt_ns, held=held)
 
+    def _lead_puck(self, dt_ns: int) -> None:
+        """The deflections along x and y are speeds; axes that are quiet for long rest."""
+        for code, quiet_ns in self._quiet_ns.items():
+            self._quiet_ns[code] = quiet_ns + dt_ns
+            if quiet_ns >= _PUCK_REST_NS:
+                self._raw[code] = 0
+        if self._dead_man_code not in self._pressed:
+            return
+        share = dt_ns / _HALF_RANGE_NS
+        x_m, y_m = self._to[0] - self._zero_x, self._to[1] - self._zero_y
+        x_m += self._deflected(ABS_X) * HALF_WIDTH_M * share
+        y_m -= self._deflected(ABS_Y) * HALF_HEIGHT_M * share
+        self._to = (
+            self._zero_x + max(-HALF_WIDTH_M, min(HALF_WIDTH_M, x_m)),
+            self._zero_y + max(-HALF_HEIGHT_M, min(HALF_HEIGHT_M, y_m)),
+        )
+
+    def _deflected(self, code: int) -> float:
+        return _share(self._axes[code], self._raw[code])
+
     def _positions(self) -> tuple[float, float]:
+        if self._puck:
+            return self._to
         x, y = (_share(self._axes[code], self._raw[code]) for code in (ABS_X, ABS_Y))
         # The kernel counts down as positive, the workspace up.
         return x * HALF_WIDTH_M, -y * HALF_HEIGHT_M

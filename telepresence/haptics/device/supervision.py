@@ -1,4 +1,4 @@
-"""What the supervision of a running joystick monitors, and how it reacts (docs/joystick.md)."""
+"""What the supervision of a running joystick monitors, and how it reacts (docs/drivers.md)."""
 
 from dataclasses import dataclass
 from enum import Enum

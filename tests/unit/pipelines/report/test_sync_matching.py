@@ -187,6 +187,8 @@ def perceived(errors_ms, strengths=None, slack_ms=0):
         # The clearest are judged; without clearer findings all are.
         ([0.1] * 15 + [-6.0] * 20, {"strengths": [5000.0] * 15 + [800.0] * 20}, 18, True),
         ([0.0] * 10 + [50.0] * 30, {"strengths": [1.0] * 40}, 40, False),
+        # Six plosives of a voice beside contacts that nobody heard.
+        ([141.6, 230.0, 420.0, 451.3, 500.0, 553.2], {}, 6, None),
         # Too few.
         ([40.0] * (LEAST_VERDICT - 1), {}, LEAST_VERDICT - 1, None),
         ([], {}, 0, None),

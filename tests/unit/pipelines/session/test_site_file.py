@@ -48,8 +48,8 @@ def example(name):
 @pytest.mark.parametrize("name", sorted(OPTIONS))
 def test_every_option_can_be_in_a_file_and_be_taken_back(site, name):
     words, value = example(name)
-    if name in ("hand", "deadband", "repair", "path", "record_cameras"):
-        choices = {"hand": "auto", "path": "compact", "record_cameras": "all"}
+    if name in ("hand", "force", "deadband", "repair", "path", "record_cameras"):
+        choices = {"hand": "auto", "force": "none", "path": "compact", "record_cameras": "all"}
         words[1] = choices.get(name, "off")
         value = f'"{words[1]}"'
     by_command = site({}, *words).options

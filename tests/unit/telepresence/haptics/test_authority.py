@@ -51,34 +51,38 @@ def rest(board, now_ns):
     return now_ns + 301 * MS
 
 
-def test_a_joystick_drives_one_of_two_robots():
-    board = PartnerBoard(ControlAuthority())
-    asks = [pack_greeting(Greeting(0, 9, 0, who), feedback=False, holding=True) for who in (0, 1)]
+@pytest.mark.parametrize("more", [0, 2])
+def test_a_joystick_drives_one_of_two_robots(more):
+    board, axes = PartnerBoard(ControlAuthority()), bytes(5 * more)
+    asks = [
+        pack_greeting(Greeting(0, 9, 0, who), feedback=False, holding=True) + axes for who in (0, 1)
+    ]
+    ours, theirs = OURS + axes, THEIRS + axes
     assert (board.left_out, board.state(0), board.is_there(0)) == (False, "absent", False)
-    assert board.handle_joystick(OURS, 0) and board.handle_joystick(asks[0], 0)
-    board.handle_partner(THEIRS, 0)
+    assert board.handle_joystick(ours, 0) and board.handle_joystick(asks[0], 0)
+    board.handle_partner(theirs, 0)
     # It is there, and neither of the two hears of the other.
     assert [board.state(ms * MS) for ms in (0, 500, 501)] == ["ready", "ready", "absent"]
     assert board.poll_joystick() is None and board.poll_partner(stopped=False) is None
     # The first request for the other ends what was; the samples of neither are taken meanwhile.
     assert not board.handle_joystick(asks[1], MS) and board.left_out
-    assert not board.handle_joystick(OURS, MS) and board.poll_partner(stopped=False) is None
+    assert not board.handle_joystick(ours, MS) and board.poll_partner(stopped=False) is None
     assert board.ownership.report().refused == {"operator": 2, "partner": 0}
     now_ns = rest(board, MS)
     assert board.left_out and board.ownership.authority is Authority.PARTNER
-    for data in (asks[1], OURS):
+    for data in (asks[1], ours):
         assert not board.handle_joystick(data, now_ns)
     # The newest alone goes on, and once; an emergency stop holds it back.
-    assert board.poll_partner(stopped=False) == OURS and board.poll_partner(stopped=False) is None
-    board.handle_joystick(OURS, now_ns)
+    assert board.poll_partner(stopped=False) == ours and board.poll_partner(stopped=False) is None
+    board.handle_joystick(ours, now_ns)
     assert board.poll_partner(stopped=True) is None and board.poll_partner(stopped=False) is None
-    board.handle_partner(THEIRS, now_ns)
+    board.handle_partner(theirs, now_ns)
     assert board.state(now_ns) == "driven"
     seen = board.seen(now_ns + 2 * MS)
     assert seen[:4] == pytest.approx((0.01, 0.0, 2.0, 0.0), abs=2e-3)
     assert (seen.contact, seen.age_ns) == (True, 2 * MS)
     assert board.seen(now_ns + 501 * MS) is None
-    assert board.poll_joystick() == THEIRS and board.poll_joystick() is None
+    assert board.poll_joystick() == theirs and board.poll_joystick() is None
     # A malformed greeting is ignored; the caller counts it.
     garbled = bytes([1]) + asks[0][1:]
     assert board.handle_joystick(garbled, now_ns) is False

@@ -10,6 +10,7 @@ from pipelines.session.setup.composition import Composition
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import Playback, RtcLeg, Setup
 from telepresence.haptics.envelope import SafetyLimits
+from telepresence.haptics.robot import Mark
 
 EVERY_FIELD = """
 name = "wrist"
@@ -22,6 +23,8 @@ repair = "idle"
 path = "compact"
 path_batch_ms = 2
 hand = "mediated"
+force = "felt"
+command_hz = 125
 axes = ["x", "pan"]
 partner_arm = "second"
 tasks = true
@@ -80,6 +83,10 @@ speed = 0.5
 [downlink]
 frame_octets = 250
 
+[marks.bin]
+x_m = 0.1
+y_m = 0.02
+
 [safety]
 resume_within_s = 0.2
 slow_m_s = 0.05
@@ -88,6 +95,7 @@ TABLES = {
     "cameras": ("wrist", "stereo", "both"),
     "composed": {"both": Composition(compose=("wrist", "left"), layout="inset", share=0.25)},
     "region_points": {"wrist": ((40, 30), (280, 33.5), (300, 210), (25, 205))},
+    "marks": {"bin": Mark(x_m=0.1, y_m=0.02)},
     "playback": Playback(ground="pulse:headset"),
     "rtc": RtcLeg(video_bps=900_000, voice_bps=24_000, taken_bps=700_000),
     "safety": SafetyLimits(resume_within_s=0.2, slow_m_s=0.05),

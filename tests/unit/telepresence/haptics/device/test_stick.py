@@ -19,6 +19,7 @@ from telepresence.haptics.device.stick import (
     RumbleMeter,
     Stick,
     dead_man_of,
+    puck_axes,
     stick_axes,
 )
 from telepresence.haptics.joystick_controller import JoystickControllerModel
@@ -129,6 +130,37 @@ def test_the_right_stick_leads_places_and_hat_and_triggers_lead_on():
     assert released["roll"] == pytest.approx(reached["roll"], abs=0.05)
     pad.handle_event(3, 2, 255)
     assert positions(pad, 3000)["gripper"] == pytest.approx(-0.04, abs=1e-4)
+
+
+@pytest.mark.parametrize("relative", [True, False])
+def test_a_puck_goes_on_while_it_is_deflected_and_its_first_button_held(relative):
+    buttons = frozenset({0x100, 0x101, 0x102, 0x103})
+    axes = puck_axes() if relative else dict.fromkeys(range(6), Axis(0, -350, 350, 12))
+    stick = Stick("puck", axes, buttons, more=("z", "yaw", "gripper"))
+
+    def push(ms, *, value=350):
+        """Push right, away, up, and turn; the kernel tells relative motions every 16 ms."""
+        for cycle in range(ms):
+            if cycle == 0 or (relative and value and cycle % 16 == 0):
+                for code, way in ((0, 1), (1, -1), (2, -1), (5, 1)):
+                    stick.handle_event(2 if relative else 3, code, way * value)
+            stick.advance(NS_PER_MS)
+
+    push(400)
+    assert settled(stick)[:2] == (0.0, 0.0) and stick.reading().buttons == 0
+    push(1, value=0)
+    for key in (0x100, 0x103):
+        stick.handle_event(1, key, 1)
+    push(500)
+    push(1, value=0)
+    x_m, y_m = settled(stick)[:2]
+    assert 0.04 < x_m < 0.06 and 0.03 < y_m < 0.05
+    z, yaw, gripper = (axis.position for axis in stick.more_readings())
+    assert 0.04 < z < 0.06 and 0.4 < yaw < 0.6 and 0.02 < gripper <= 0.04
+    stick.handle_event(1, 0x100, 0)
+    push(500)
+    assert settled(stick)[:2] == pytest.approx((x_m, y_m))
+    assert {*stick_axes(range(6), buttons)} == {*AXIS_NAMES}
 
 
 def test_triggers_that_are_buttons_close_and_open_the_gripper():
