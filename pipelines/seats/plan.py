@@ -166,6 +166,9 @@ def seat_plan(
         task_list=tuple(
             texts.TaskText(name=task.name, text=task.text)
             for task in (() if tasks is None else tasks.tasks.values())
+            # What cannot be done here is not offered.
+            if not (task.two_handed and setup.partner_arm != "second")
+            and set(task.cameras) <= set(setup.cameras)
         ),
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
