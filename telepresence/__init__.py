@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from telepresence.haptics.axes import AxisCapabilities, AxisReading
     from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
     from telepresence.haptics.board import WALL_X_M
     from telepresence.haptics.device.device import (
@@ -57,6 +58,8 @@ __all__ = [
     "SOFT_GRIP",
     "UPLINK",
     "WALL_X_M",
+    "AxisCapabilities",
+    "AxisReading",
     "Command",
     "EventReport",
     "Feedback",

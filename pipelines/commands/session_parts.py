@@ -27,6 +27,7 @@ from telepresence.haptics.specs import (
     check_robot,
     is_simulated,
 )
+from telepresence.tasks.cosmonaut import Skill
 from telepresence.tasks.task_files import load_plan, load_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.routes import Route, read_routes
@@ -120,7 +121,10 @@ def task_options(
     else:
         plan, catalogue = load_plan(args.plan)
         plan.check(catalogue, setup.cameras, setup.name, two_hands=two_hands)
-    simulated = plan is not None and is_simulated(args.joystick)
+    simulated = is_simulated(args.joystick)
+    if plan is None and (len(segments) == 1 or args.leds is not None):
+        # Its eyes need both; people do without it.
+        simulated = False
     if simulated and len(segments) == 1:
         raise ConfigError(
             "a simulated cosmonaut sees the LED panel on one machine only: leave --end out, or "
@@ -154,8 +158,10 @@ def task_arguments(options: TaskOptions | None) -> Mapping[str, Mapping[str, obj
         TASKS: {"options": options},
         PAGES[Segment.SPACE]: {"tasks": options.catalogue},
     }
-    if options.simulated and options.plan is not None:
-        arguments[JOYSTICK] = {"skill": options.plan.skill}
+    if options.simulated:
+        plan = options.plan
+        skill = Skill().level if plan is None else plan.skill
+        arguments[JOYSTICK] = {"skill": skill, "taps": plan is None}
     return arguments
 
 

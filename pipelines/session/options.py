@@ -65,7 +65,7 @@ class StreamOptions:
     record: Path | None = _session("*FILE.mcap  record the session")
     report: Path | None = _session("*--report")
     tasks: tuple[Path, ...] | None = _session(
-        "*FILE.xml  have tasks for people; with files, further ones", bare=()
+        "*FILE.xml  have tasks that people select; with files, further ones", bare=()
     )
     quiet: bool = _session("*-q", False, rivals=("verbose",))
     overwrite: bool = _session("replace a recording of that name", False)
