@@ -19,7 +19,7 @@ import { PictureView } from "./picture_view.js";
 import { StopControl } from "./stop_control.js";
 
 const AWAY_M = 1.3;
-/** The person's own pose is looked for this often, while no frame tells it. */
+/** So often it is looked whether frames still come. */
 const LOOK_MS = 30;
 const WORDS_MS = 100;
 /** A weaker pulse is not felt. */
@@ -49,11 +49,12 @@ class HeadsetSeat extends HTMLElement {
     };
     system.addEventListener("devicechange", () => void look());
     void look();
-    this.#button.addEventListener("click", () => void this.#toggle(system, connection));
+    const newest = new NewestRow(connection, "joystick");
+    this.#button.addEventListener("click", () => void this.#toggle(system, connection, newest));
   }
 
-  /** @param {XRSystem} system @param {Connection} connection */
-  async #toggle(system, connection) {
+  /** @param {XRSystem} system @param {Connection} connection @param {NewestRow} newest */
+  async #toggle(system, connection, newest) {
     setText(this.#words, "");
     try {
       if (this.#session !== null) {
@@ -67,7 +68,7 @@ class HeadsetSeat extends HTMLElement {
         setText(this.#button, "Headset");
       });
       setText(this.#button, "Leave the headset");
-      await new Stay(session, connection).begin();
+      await new Stay(session, connection, newest).begin();
     } catch (error) {
       setText(this.#words, `No headset: ${error instanceof Error ? error.message : String(error)}`);
       await this.#session?.end().catch(() => undefined);
@@ -94,12 +95,12 @@ class Stay {
   #pulsedMs = 0;
   #wordsMs = 0;
 
-  /** @param {XRSession} session @param {Connection} connection */
-  constructor(session, connection) {
+  /** @param {XRSession} session @param {Connection} connection @param {NewestRow} newest */
+  constructor(session, connection, newest) {
     this.#session = session;
     this.#connection = connection;
     this.#layer = new XRWebGLLayer(session, this.#view.gl);
-    this.#newest = new NewestRow(connection, "joystick");
+    this.#newest = newest;
     const halves = () => {
       const { half_width_m: x, half_height_m: y } = connection.hello?.workspace ?? { half_width_m: 0.1, half_height_m: 0.08 };
       return { x, y };
@@ -120,7 +121,7 @@ class Stay {
     session.addEventListener("visibilitychange", () => {
       if (session.visibilityState !== "visible") letGo();
     });
-    this.#view.gl.canvas.addEventListener("webglcontextlost", () => void session.end());
+    this.#view.gl.canvas.addEventListener("webglcontextlost", () => void session.end().catch(() => undefined));
     const timer = setInterval(() => this.#hand.pollTimeout(performance.now()), LOOK_MS);
     this.#picture.seenElsewhere = true;
     session.addEventListener("end", () => {

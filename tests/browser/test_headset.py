@@ -1,0 +1,102 @@
+"""A seat in a headset that npm's `iwer` emulates: a grip leads the robot, and a button stops it."""
+
+import time
+
+import pytest
+from browser import LIVE, eventually
+from positions import ROOT
+from robot_tip import Tip
+from running_session import RunningSession
+
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
+
+IWER = ROOT / ".ci" / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
+SETUP = """
+cameras = ["static"]
+[uplink_video]
+cap_kbps = 90
+"""
+#: A worn headset, and what its right controller does: `squeeze`, and 2 mm a frame to `right`.
+WORN = """
+window.device = new IWER.XRDevice(IWER.metaQuest3);
+device.installRuntime({ forceInstall: true });
+const hand = device.controllers.right;
+const where = { right: 0 };
+window.squeeze = (value) => hand.updateButtonValue("squeeze", value);
+window.lead = (right) => { where.right = right; };
+window.stop = (value) => hand.updateButtonValue("b-button", value);
+setInterval(() => {
+  const { x } = hand.position;
+  hand.position.x = x + Math.max(-0.002, Math.min(0.002, where.right - x));
+}, 14);
+"""
+STEERS = "document.querySelector('hand-panel').dataset.steers === 'true'"
+
+
+@pytest.fixture
+def session(tmp_path):
+    if not IWER.exists():
+        pytest.skip("iwer: npm --prefix .ci/web install")
+    options = ("--page", "24100", "--joystick", "page")
+    with RunningSession(SETUP, *options, directory=tmp_path) as running:
+        yield running
+
+
+def test_a_grip_leads_the_robot_and_a_button_stops_it(session, start_browser, monkeypatch):
+    # The processor draws for the headset, too.
+    browser = start_browser(flags=["enable-unsafe-swiftshader"])
+    page = browser.open("about:blank")
+    page.load(session.pages()["space"], IWER.read_text(encoding="utf-8") + WORN)
+    page.wait("!document.querySelector('headset-seat').hidden", "a button")
+    page.wait(LIVE)
+    page.wait("document.querySelector('joystick-panel').textContent.includes('application')")
+    page.find("headset-seat button").click()
+    page.wait("document.querySelector('headset-seat').textContent.includes('Leave')")
+    with session.bus(monkeypatch) as bus:
+        tip, joystick = Tip(bus), bus.reader(JOYSTICK_STATE_TOPIC)
+
+        def held():
+            with eventually(joystick.latest, "the joystick's state") as lease:
+                return JOYSTICK_STATE_TOPIC.unpack(lease.octets()).dead_man
+
+        def led(right):
+            """Press anew where a busy page has let go; return how far the tip has come."""
+            from_m = tip.state().x_m
+            if not held():
+                page.run("squeeze(0)")
+                time.sleep(0.2)
+                page.run("squeeze(1)")
+                eventually(lambda: page.run(f"return {STEERS}"), "a press")
+            page.run("lead(arguments[0])", right)
+            time.sleep(1)
+            return tip.state().x_m - from_m
+
+        far = 0.0
+
+        def moved():
+            nonlocal far
+            far = 0.05 - far
+            return abs(led(far)) > 0.01
+
+        eventually(moved, "a motion of the tip")
+        page.run("squeeze(0)")
+        eventually(lambda: not held(), "the release")
+        time.sleep(0.5)
+        assert abs(led_without_grip(page, tip)) < 0.001
+        page.run("squeeze(1)")
+        eventually(held, "a new press")
+        page.run("stop(1)")
+        stopped = "document.querySelector('stop-control').textContent.includes('Emergency stop')"
+        page.wait(stopped)
+        eventually(lambda: not held(), "a hand that has let go")
+    page.run("document.querySelector('[data-stop=release]').click()")
+    page.wait(f"!({stopped})")
+    browser.assert_no_errors()
+
+
+def led_without_grip(page, tip):
+    """Move the controller with an open grip; return how far the tip has come."""
+    from_m = tip.state().x_m
+    page.run("lead(-0.05)")
+    time.sleep(1)
+    return tip.state().x_m - from_m
