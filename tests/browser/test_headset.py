@@ -21,9 +21,10 @@ cap_kbps = 90
 WORN = """
 window.device = new IWER.XRDevice(IWER.metaQuest3);
 device.installRuntime({ forceInstall: true });
-// This emulation takes the matrix of an offset only, WebXR its transform.
+// This emulation takes the matrix of an offset, WebXR its transform; and it tracks nothing.
 const spaces = XRReferenceSpace.prototype, offset = spaces.getOffsetReferenceSpace;
 spaces.getOffsetReferenceSpace = function ({ matrix }) { return offset.call(this, matrix); };
+Object.defineProperty(XRPose.prototype, "emulatedPosition", { get: () => false });
 const hand = device.controllers.right;
 const where = { right: 0 };
 window.squeeze = (value) => hand.updateButtonValue("squeeze", value);
@@ -86,11 +87,18 @@ def test_a_grip_leads_the_robot_and_a_button_stops_it(session, start_browser, mo
         time.sleep(0.5)
         page.run("lead(arguments[0])", next(ends))
         assert tip.way(1) < STILL_M
+        # The headset's menu is before the picture.
+        eventually(pressed, "a new press")
+        page.run("device.updateVisibilityState('visible-blurred')")
+        eventually(lambda: not held(), "a hand that has let go before a menu")
+        page.run("device.updateVisibilityState('visible')")
         eventually(pressed, "a new press")
         page.run("stop(1)")
         stopped = "document.querySelector('stop-control').textContent.includes('Emergency stop')"
         page.wait(stopped)
         eventually(lambda: not held(), "a hand that has let go")
+    page.run("document.querySelector('headset-seat button').click()")
+    page.wait("!document.querySelector('headset-seat').textContent.includes('Leave')")
     page.run("document.querySelector('[data-stop=release]').click()")
     page.wait(f"!({stopped})")
     browser.assert_no_errors()
