@@ -10,18 +10,33 @@ from pipelines.report.result import Headline, decimals
 
 _HEAD = """# Measurements
 
-`python -m benchmarks all` wrote this page from the JSON files in `{folder}`; with `--render` it
-does so without measuring. A figure is the median of its runs, with the least and the largest in
-brackets where they differ; on virtual time they never do. The machine is named where it changes. Of
-single clips, speech and pages only the main figures are here; the files have all.
+For whoever asks for figures: what was measured, with which command, on which code?
+
+`python -m benchmarks all` wrote this page from the JSON files in `{folder}`, which have all other
+figures; with `--render` it does so without measuring. A figure is the median of its runs, with the
+least and the largest in brackets where they differ; on virtual time they never do. The machine is
+named where it changes.
 """
-#: By measurement: figures, as `GROUP: WHAT`, that are in the files only.
-_IN_FILES_ONLY = {
-    "video": re.compile(r"(?!clips|targets).*: (?!.*, p50|.*, p99|(PSNR|VMAF), mean)"),
-    "voice": re.compile(r".*p50"),
-    "page": re.compile(r".*p95"),
-    "rtc": re.compile(r".*p95"),
+#: By measurement: figures without a target, as `GROUP: WHAT`, that are on the page. Of other
+#: measurements, those are if it has no target at all.
+_SHOWN = {
+    "video": re.compile("clips that no.*: VMAF, mean"),
+    "voice": re.compile("at 8 .*: loss (none.*p99|5 %, random: PESQ)"),
+    "link": re.compile("live: "),
+    "haptics": re.compile("(.*: )?(cells|unstable cells|energy made|felt stiffness)"),
+    "sync": re.compile(".*p95"),
+    "sync-live": re.compile(".*p95"),
+    "rtc": re.compile("(from a partner|to a browser).*p99"),
 }
+
+
+def _is_shown(name: str, headline: Headline, judged: set[tuple[str, str]]) -> bool:
+    if "settings were tuned on" in headline.group:
+        return False
+    if (headline.group, headline.what) in judged:
+        return True
+    rule = _SHOWN.get(name)
+    return not judged if rule is None else bool(rule.match(f"{headline.group}: {headline.what}"))
 
 
 def page(records: Sequence[Record], *, folder: str) -> str:
@@ -47,13 +62,9 @@ def _section(runs: Sequence[Record], machine: str) -> str:
     for record in runs:
         if record.failure:
             lines.append(f"**Run {record.number} failed: {_safe(record.failure)}**")
-    hidden = _IN_FILES_ONLY.get(runs[0].name)
-    found = [
-        headline
-        for record in runs
-        for headline in record.headlines
-        if not (hidden and hidden.match(f"{headline.group}: {headline.what}"))
-    ]
+    every = [headline for record in runs for headline in record.headlines]
+    judged = {(one.group, one.what) for one in every if one.target}
+    found = [one for one in every if _is_shown(runs[0].name, one, judged)]
     for group in dict.fromkeys(headline.group for headline in found):
         lines += ["", *_table(group, [one for one in found if one.group == group])]
     return "\n".join([*lines, ""])

@@ -120,13 +120,21 @@ _PEER = {Segment.SPACE: "the ground", Segment.GROUND: "space"}
 
 
 def radio_text(
-    segment: Segment, *, hears: bool | None, heard: bool | None, unverified: int
+    segment: Segment,
+    *,
+    hears: bool | None,
+    heard: bool | None,
+    unverified: int,
+    obstacle: str = "",
 ) -> texts.RadioText:
     """Return what to say at an end.
 
     hears: good frames of the peer arrive here. heard: the peer said so of ours in its newest
     report. None: not known. unverified: telecommands in a row that nobody acknowledged.
+    obstacle: why an end does not begin the link; "" for none.
     """
+    if obstacle:
+        return texts.RadioText(level="bad", words=f"No link: {obstacle}.")
     peer = _PEER[segment]
     sent = f" The last {unverified} were not acknowledged." if unverified > 1 else ""
     if hears is False:
@@ -164,13 +172,18 @@ class MissionClient:
         self._telemetry = TelemetryLog(dictionary)
         self._hears: bool | None = None
         self._heard: bool | None = None
+        self._obstacle = ""
         self._makers: Mapping[str, Callable[[], msgspec.Struct]] = {
             "chat": lambda: self._chat.text,
             "commands": lambda: self._commands.text,
             "values": lambda: self._telemetry.values_text,
             "events": lambda: self._telemetry.events_text,
             "radio": lambda: radio_text(
-                segment, hears=self._hears, heard=self._heard, unverified=self._commands.unverified
+                segment,
+                hears=self._hears,
+                heard=self._heard,
+                unverified=self._commands.unverified,
+                obstacle=self._obstacle,
             ),
         }
         #: By kind: what does not come from telemetry, as other processes tell it.
@@ -210,7 +223,7 @@ class MissionClient:
         elif isinstance(news, tmtc_messages.K2aciArrived):
             if self._chat.handle_arrived(news, now_ns):
                 self._changed.add("chat")
-        elif isinstance(news, tmtc_messages.Reported):
+        elif isinstance(news, tmtc_messages.Reported) and news.kind != "data":
             self._telemetry.handle_report(news, now_ns)
             if news.application == f"{self._segment.peer.value}_gateway":
                 # It says whether it hears us; its event is the quicker one.
@@ -224,6 +237,12 @@ class MissionClient:
         """Whether good frames arrive at this end."""
         if hears != self._hears:
             self._hears = hears
+            self._changed.add("radio")
+
+    def handle_obstacle(self, why: str) -> None:
+        """Why an end does not begin the link, in words; "" if nothing is in the way."""
+        if why != self._obstacle:
+            self._obstacle = why
             self._changed.add("radio")
 
     def handle_shown(self, kind: str, text: msgspec.Struct) -> None:

@@ -151,7 +151,7 @@ LIBRARIES = {
     "tarfile": "telepresence/upkeep/inbox.py",
     "threading": "kontur_av/codecs/colours.py",
     "warnings": "kontur_av/codecs/libopus.py kontur_av/lazy.py",
-    "xml": "telepresence/tasks/reader.py telepresence/tmtc/pus/xtce",
+    "xml": ("telepresence/tasks/reader.py telepresence/tmtc/pus/xtce telepresence/tmtc/routes.py"),
     "zstandard": "kontur_av/sources/recorded_format.py pipelines/recording/",
 }
 

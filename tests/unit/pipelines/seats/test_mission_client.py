@@ -159,6 +159,9 @@ def test_each_dead_direction_is_said_in_words_and_at_once(service):
     assert up.level == "bad" and "Space does not hear us" in up.words
     well = radio_text(ground, hears=True, heard=None, unverified=0)
     assert (well.level, well.words) == ("good", "Both directions carry.")
+    fault = "space: this machine does not send the frames: Network is unreachable"
+    none = radio_text(ground, hears=True, heard=True, unverified=0, obstacle=fault)
+    assert (none.level, none.words) == ("bad", f"No link: {fault}.")
     # The other gateway says that it does not hear us.
     service.core.handle_signal(True)
     for kind, source, name, values, level in (
