@@ -1,9 +1,9 @@
 /**
  * The hand in the page: what presses and moves the handle, and when it must let go.
  *
- * Pointer, keys, game controller and headset press, move and release; one of them at a time. The page lets
- * go when it loses the focus, is hidden or left, when the server is lost, and when the handle is
- * another's.
+ * Pointer, keys, game controller and headset press, move and release; one of them at a time. The
+ * page lets go when it loses the focus, is hidden or left, when the server is lost, and when the
+ * handle is another's.
  *
  * @import { Hand } from "./wire.js"
  */
