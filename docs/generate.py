@@ -1,7 +1,7 @@
 """Write what documents take from the code.
 
     python docs/generate.py            docs/python.md, from the docstrings of what is exported, and
-                                       the tables of commands, processes, topics and ports
+                                       every part between `<!-- generated: NAME -->` marks
     python docs/generate.py --run      the README's table, too: a session of 20 s on virtual time
 
 Tests check that all but the README's table is up to date. griffe reads source text, so the page is
@@ -36,6 +36,7 @@ from pipelines.session.topology.table import Topology
 from pipelines.table import topology_of
 from telepresence.haptics.axes import AxisSettings
 from telepresence.haptics.envelope import SafetyLimits
+from telepresence.haptics.robot import Mark
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = ("media", "codecs", "rtp", "sources", "streams", "topics", "clock")
@@ -117,7 +118,7 @@ MOST_METHODS = 5
 #: Fields of a setup that are tables of their own.
 TABLES = (
     *("uplink_video", "uplink_voice", "downlink_video", "downlink_voice", "uplink", "downlink"),
-    *("composed", "axis", "rtc", "playback", "safety"),
+    *("composed", "axis", "rtc", "marks", "playback", "safety"),
 )
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
@@ -427,6 +428,7 @@ def setup_fields() -> str:
         "[composed.NAME]": (Composition, Composition),
         "[axis.NAME]": (AxisSettings, AxisSettings),
         "[rtc]": (RtcLeg, file_kind(RtcLeg)),
+        "[marks.NAME]": (Mark, Mark),
         "[playback]": (Playback, Playback),
         "[safety]": (SafetyLimits, SafetyLimits),
     }
@@ -450,7 +452,7 @@ def _said_of_fields(kind: type) -> dict[str, str]:
     for entry in re.split(r"\n(?=\w+(?:, \w+)*: )|(?<=\. )(?=\w+(?:, \w+)*: )", text)[1:]:
         names, _, what = entry.partition(": ")
         for name in names.split(", "):
-            found[name] = " ".join(what.split()).partition("\n\n")[0]
+            found[name] = " ".join(what.split()).partition(" Raises ")[0]
     return found
 
 

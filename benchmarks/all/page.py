@@ -13,30 +13,17 @@ _HEAD = """# Measurements
 For whoever asks for figures: what was measured, with which command, on which code?
 
 `python -m benchmarks all` wrote this page from the JSON files in `{folder}`, which have all other
-figures; with `--render` it does so without measuring. A figure is the median of its runs, with the
-least and the largest in brackets where they differ; on virtual time they never do. The machine is
-named where it changes.
+figures. A figure is the median of its runs, with least and largest in brackets where they differ.
 """
-#: By measurement: figures without a target, as `GROUP: WHAT`, that are on the page. Of other
-#: measurements, those are if it has no target at all.
+#: By measurement: figures without a target that are on the page; of others, all if none has one.
 _SHOWN = {
-    "video": re.compile("clips that no.*: VMAF, mean"),
-    "voice": re.compile("at 8 .*: loss (none.*p99|5 %, random: PESQ)"),
-    "link": re.compile("live: "),
-    "haptics": re.compile("(.*: )?(cells|unstable cells|energy made|felt stiffness)"),
-    "sync": re.compile(".*p95"),
-    "sync-live": re.compile(".*p95"),
-    "rtc": re.compile("(from a partner|to a browser).*p99"),
+    "video": "clips that no.*: VMAF, mean",
+    "voice": "at 8 .*: loss (none.*p99|5 %, random: PESQ)",
+    "link": "live: ",
+    "haptics": "(.*: )?(cells|unstable cells|energy made|felt stiffness)",
+    **dict.fromkeys(("sync", "sync-live"), ".*p95"),
+    "rtc": "(from a partner|to a browser).*p99",
 }
-
-
-def _is_shown(name: str, headline: Headline, judged: set[tuple[str, str]]) -> bool:
-    if "settings were tuned on" in headline.group:
-        return False
-    if (headline.group, headline.what) in judged:
-        return True
-    rule = _SHOWN.get(name)
-    return not judged if rule is None else bool(rule.match(f"{headline.group}: {headline.what}"))
 
 
 def page(records: Sequence[Record], *, folder: str) -> str:
@@ -63,8 +50,11 @@ def _section(runs: Sequence[Record], machine: str) -> str:
         if record.failure:
             lines.append(f"**Run {record.number} failed: {_safe(record.failure)}**")
     every = [headline for record in runs for headline in record.headlines]
-    judged = {(one.group, one.what) for one in every if one.target}
-    found = [one for one in every if _is_shown(runs[0].name, one, judged)]
+    of_target = [one for one in every if one.target and "were tuned on" not in one.group]
+    judged = {(one.group, one.what) for one in of_target}
+    shown = _SHOWN.get(runs[0].name, "$" if judged else "")
+    places = ((one, (one.group, one.what)) for one in every)
+    found = [one for one, at in places if at in judged or re.match(shown, ": ".join(at))]
     for group in dict.fromkeys(headline.group for headline in found):
         lines += ["", *_table(group, [one for one in found if one.group == group])]
     return "\n".join([*lines, ""])

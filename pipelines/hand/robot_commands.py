@@ -265,7 +265,7 @@ class JoystickStatusTeller(WatchedTopic):
         test = operation.test
         (answered, refusal), (commanded, command_refusal) = self._answered, self._commanded
         robot = (handle.robot_waits, handle.robot_stopped)
-        experiment = (operation.experiment, operation.partner)
+        experiment = (operation.experiment, operation.partner, operation.handed)
         hand = (operation.state, handle.dead_man, handle.pressed, reason)
         present = (*hand, test, *experiment, answered, commanded, *robot)
         if present == self._told and now_ns < self._anew_ns:
@@ -310,4 +310,5 @@ class JoystickStatusTeller(WatchedTopic):
             test_metrics={figure.name: figure.value for figure in test.metrics},
             experiment=operation.experiment,
             partner=operation.partner,
+            handed=operation.handed,
         )

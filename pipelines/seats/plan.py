@@ -36,8 +36,10 @@ from pipelines.session.topology.topics import (
 )
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
+from telepresence.haptics.device.policy import PolicyAxis, policy_axes
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
+from telepresence.haptics.specs import PAGE
 from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
@@ -92,6 +94,7 @@ class SeatPlan:
     previews: topics with the small pictures of inputs, by their numbers in messages.
     shown: what processes of the mission show here: by kind of text, the topic.
     orders: whether its pages may start and stop the session; in space only if it runs here whole.
+    axes: of the robot, as a policy has them; none where no page moves the joystick.
     """
 
     segment: Segment
@@ -103,6 +106,7 @@ class SeatPlan:
     text: texts.SeatText
     dictionary: Dictionary
     orders: bool
+    axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
     @property
@@ -127,6 +131,7 @@ def seat_plan(
     setup = topology.setup
     written = {topic for row in topology.processes for topic in row.writes}
     ground, tasked = segment is Segment.GROUND, topology.options.tasks
+    moved = topology.options.joystick == PAGE
     has_board = tasked or (topology.options.robot == SIMULATED_ROBOT and not setup.marks)
     streams = tuple(_streams(topology, segment))
     previews = dict(_previews(topology)) if ground else {}
@@ -166,6 +171,9 @@ def seat_plan(
         task_list=tuple(
             texts.TaskText(name=task.name, text=task.text)
             for task in (() if tasks is None else tasks.tasks.values())
+            # What cannot be done here is not offered.
+            if not (task.two_handed and setup.partner_arm != "second")
+            and set(task.cameras) <= set(setup.cameras)
         ),
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
@@ -181,6 +189,7 @@ def seat_plan(
         dictionary=dictionary,
         shown={kind: topic for kind, topic in _SHOWN[segment].items() if topic in written},
         orders=ground or len(topology.segments) > 1,
+        axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
         text=text,
     )
 

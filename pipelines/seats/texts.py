@@ -215,7 +215,7 @@ class SafetyText(msgspec.Struct, frozen=True, kw_only=True):
 class HandText(msgspec.Struct, frozen=True, kw_only=True):
     """Who holds the handle, and who asks for it, by numbers of pages.
 
-    who, asks: their names; "" for nobody, and at the other end.
+    who, asks: their names; "" for nobody, and at the other end. policy: one that may drive.
     """
 
     holder: int | None
@@ -223,6 +223,7 @@ class HandText(msgspec.Struct, frozen=True, kw_only=True):
     wanted_by: int | None
     who: str
     asks: str
+    policy: str
 
 
 class StateText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="state"):
@@ -462,9 +463,9 @@ class JoystickRequest(_Request, frozen=True, tag="joystick"):
 
 
 class HandleRequest(_Request, frozen=True, tag="hand"):
-    """Who holds the handle."""
+    """Who holds the handle. policy: let the policy drive."""
 
-    action: Literal["take", "give", "ask", "refuse"]
+    action: Literal["take", "give", "ask", "refuse", "policy"]
 
 
 class StopRequest(_Request, frozen=True, tag="stop"):

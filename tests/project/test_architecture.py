@@ -57,14 +57,14 @@ SHELLS = {
     "pipelines/media": (
         "coded_topics input_devices key_picture_maker process_receive process_send sending"
     ),
-    "pipelines/mission": "joined_session process_tasks process_tmtc tmtc_socket",
+    "pipelines/mission": "driving joined_session process_tasks process_tmtc tmtc_socket",
     "pipelines/partner": "coded_sources peer samples server transport whip",
     "pipelines/recording": (
         "camera_reader live_output matroska part_files raw_pictures received_media recorded_parts "
         "recording_file replay_setup"
     ),
     "pipelines/recording/export": "films lerobot table_files",
-    "pipelines/report": "charts live process_metrics report_file session_feed",
+    "pipelines/report": "charts live process_metrics report_file schema session_feed",
     "pipelines/seats": "process_page seat_sockets seat_topics upkeep_watch",
     "pipelines/session": (
         "command_process datagrams kept_files launcher machine_checks option_rows options "

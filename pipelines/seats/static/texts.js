@@ -131,9 +131,9 @@
 
 /**
  * Who holds the handle, and who asks for it, by numbers of pages. who, asks: their names; "" for
- * nobody, and at the other end.
+ * nobody, and at the other end. policy: one that may drive.
  * @typedef {{holder: number | null, you: boolean, wanted_by: number | null, who: string, asks:
- *   string}} HandText
+ *   string, policy: string}} HandText
  */
 
 /**
@@ -356,7 +356,7 @@
 /**
  * What a page may ask for.
  * @typedef {{do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
- *   | {do: "hand", action: "take" | "give" | "ask" | "refuse"}
+ *   | {do: "hand", action: "take" | "give" | "ask" | "refuse" | "policy"}
  *   | {do: "session", action: "start" | "stop"}
  *   | {do: "stop", action: "stop" | "release"}
  *   | {do: "record", action: "start" | "stop"}

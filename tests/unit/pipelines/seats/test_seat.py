@@ -32,7 +32,7 @@ SELECT_HEAD = {"application": "camera", "name": "select", "arguments": ["head"]}
 WATCH_ONLY = "a viewer may watch only"
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True)
 KEY, DELTA = b"\0\0\0\1\x67s\0\0\0\1\x68p\0\0\0\1\x65i", b"\0\0\0\1\x41d"
-FREE = {"holder": None, "you": False, "wanted_by": None, "who": "", "asks": ""}
+FREE = {"holder": None, "you": False, "wanted_by": None, "who": "", "asks": "", "policy": ""}
 HAPTICS = np.zeros(BLOCK_ROWS, ROW).tobytes()
 
 
