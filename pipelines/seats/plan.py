@@ -142,7 +142,12 @@ def seat_plan(
         session=session,
         streams=tuple(each.text for each in streams),
         cameras=tuple(
-            texts.CameraText(name=row.name, inputs=row.inputs) for row in topology.cameras
+            texts.CameraText(
+                name=row.name,
+                inputs=row.inputs,
+                layout=row.composition.layout if row.composition else "",
+            )
+            for row in topology.cameras
         ),
         previews=tuple(previews),
         inputs=tuple(_input_text(each) for each in inputs),

@@ -42,10 +42,11 @@ class StreamText(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class CameraText(msgspec.Struct, frozen=True, kw_only=True):
-    """A camera that can be selected."""
+    """A camera that can be selected. layout: of one that is composed of two; else ""."""
 
     name: str
     inputs: tuple[str, ...]
+    layout: str = ""
 
 
 class PreviewText(msgspec.Struct, frozen=True, kw_only=True):

@@ -27,7 +27,7 @@ const WORKSPACE = Object.freeze({ half_width_m: 0.1, half_height_m: 0.08 });
 /** @type {Record<HandAction, string>} */
 const ACTIONS = { take: "Take the handle", give: "Give it up", ask: "Ask for it", refuse: "Keep it", policy: "Let the policy drive" };
 
-class HandPanel extends HTMLElement {
+export class HandPanel extends HTMLElement {
   #map = new WorkspaceMap();
   #bar = new ForceBar();
   #words = make("p", { class: "hand-words", role: "status" });
@@ -100,6 +100,12 @@ class HandPanel extends HTMLElement {
       this.#start = start;
       redraw();
     });
+  }
+
+  /** What presses and moves the handle, once the page has started. */
+  get control() {
+    if (this.#control === null) throw new Error("hand-panel: it follows no seat");
+    return this.#control;
   }
 
   get #workspace() {

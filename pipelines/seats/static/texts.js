@@ -19,8 +19,8 @@
  */
 
 /**
- * A camera that can be selected.
- * @typedef {{name: string, inputs: string[]}} CameraText
+ * A camera that can be selected. layout: of one that is composed of two; else "".
+ * @typedef {{name: string, inputs: string[], layout: string}} CameraText
  */
 
 /**

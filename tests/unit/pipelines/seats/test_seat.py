@@ -115,7 +115,8 @@ def test_a_page_is_told_first_where_it_is_and_what_it_sees(space, ground):
     streams = [(each["index"], each["name"], each["via"]) for each in hello["streams"]]
     assert streams == [(0, "uplink_video", "coded"), (1, "uplink_voice", "sound")]
     assert [each["name"] for each in hello["inputs"]] == ["operator_camera", "operator_mic"]
-    assert hello["cameras"][0] == {"name": "stereo", "inputs": ["left", "right"]}
+    stereo = {"name": "stereo", "inputs": ["left", "right"], "layout": "merged"}
+    assert hello["cameras"][0] == stereo
     # Ground control sees what comes, what it sends, and all cameras.
     (hello,) = ground.open().texts("hello")
     assert {each["name"]: each["via"] for each in hello["streams"]} == {
