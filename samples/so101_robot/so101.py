@@ -24,7 +24,7 @@ from telepresence import (
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 #: At first (rad): over the block, jaws down and open. In the model the arm's joints come first.
-HOME_RAD, ARM = (0.0, -0.1, -0.2, 1.65, 1.57, 1.2), slice(0, 6)
+HOME_RAD, ARM = (0.0, -0.1, -0.2, 1.65, 1.57, 1.4), slice(0, 6)
 #: The model's x, y and z are z, x and y of the session: towards its camera, right, and up.
 MIDDLE_M = np.array([0.225, 0.0, 0.11])
 #: By axis behind x and y: half its range, force limit and speed (m, N, m/s; rad, N m, rad/s).

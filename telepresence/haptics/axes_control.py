@@ -5,6 +5,7 @@ They are those of x and y, with one coordinate. Rotations count as paths at thei
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import inf
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.axes import AxisValue, MoreAxis
@@ -82,7 +83,7 @@ class RobotAxes(_Axes):
     def __init__(
         self, axes: Sequence[MoreAxis], model: RobotControllerModel, *, passive: bool = True
     ) -> None:
-        self.axes = axes
+        self.axes, grips = axes, not passive
         self.controllers: Sequence[RobotController] = [
             RobotController(
                 replace(
@@ -90,6 +91,8 @@ class RobotAxes(_Axes):
                     force_limit_n=min(model.force_limit_n, axis.force_limit_n),
                     speed_m_s=axis.most_m_s,
                     half_width_m=axis.half_m,
+                    # Where nobody feels it, a gripper keeps its grip when the hand lets go.
+                    relax_s=inf if grips and axis.capabilities.name == "gripper" else model.relax_s,
                 ),
                 x_m=axis.position_m,
                 passive=passive and not axis.rate,

@@ -19,6 +19,9 @@ from telepresence.haptics.sample import MODE_OFF
 SIMULATED_ROBOT = "sim"
 #: A robot that takes places and is further than this from the one it was given does not follow.
 _LAG_M = 0.02
+#: The place that a robot without a force sensor is given is never further from where it is: so it
+#: presses no harder on what is in its way.
+_LEASH_M = 0.015
 
 
 class RobotReading(NamedTuple):
@@ -129,6 +132,7 @@ class DrivenRobot(Robot):
             first = taken(RobotReading, device.read(), call)
             super().__init__(x_m=first.x_m, y_m=first.y_m)
             self._takes_positions = capabilities.takes == "position"
+            self._leashed = self._takes_positions and capabilities.force == "none"
             #: As the driver has them; None without more axes.
             self._axes: MoreAxes | None = cast(MoreAxes, device) if capabilities.more else None
             if self._takes_positions:
@@ -186,6 +190,8 @@ class DrivenRobot(Robot):
             reading = taken(RobotReading, self.device.read(), call)
             call = "read_more()"
             if self._takes_positions:
+                if self._leashed:
+                    self._pull_back(reading)
                 off_m = hypot(reading.x_m - self.x_m, reading.y_m - self.y_m)
                 if self._feel(reading) and not off_m < _LAG_M:
                     self.error = "it does not follow the places that it is given"
@@ -197,6 +203,15 @@ class DrivenRobot(Robot):
         except Exception as error:
             # The driver is the user's: whatever it raises is an error of the robot.
             self.error = fault_of(call, error)
+
+    def _pull_back(self, reading: RobotReading) -> None:
+        """Let the place that it is given wait for the robot."""
+        lead_x_m, lead_y_m = self.x_m - reading.x_m, self.y_m - reading.y_m
+        lead_m = hypot(lead_x_m, lead_y_m)
+        if lead_m > _LEASH_M:
+            share = _LEASH_M / lead_m
+            self.x_m, self.y_m = reading.x_m + lead_x_m * share, reading.y_m + lead_y_m * share
+            self.vx_m_s, self.vy_m_s = reading.vx_m_s, reading.vy_m_s
 
     def _lead(self) -> None:
         """Write the places that the virtual masses have reached."""
@@ -280,6 +295,10 @@ class DrivenRobot(Robot):
             trouble = axis.take(reading)
             if not stand:
                 off_m = abs(axis.position_m - position_m)
+                if self._leashed and off_m > _LEASH_M:
+                    lead_m = _LEASH_M if position_m > axis.position_m else -_LEASH_M
+                    position_m, speed_m_s = axis.position_m + lead_m, axis.speed_m_s
+                    off_m = _LEASH_M
                 axis.position_m, axis.speed_m_s = position_m, speed_m_s
                 if not trouble and off_m > _LAG_M:
                     trouble = (

@@ -21,7 +21,7 @@ SAMPLE = Path(__file__).resolve().parents[2] / "samples/so101_robot"
 PATIENT = "\n[safety]\npicture_max_age_s = 100\npicture_hold_s = 100\n"
 TICK_S, SPEED, NEAR = 0.04, np.array([0.08, 0.08, 0.08, 0.5, 0.04]), 0.004
 STILL = np.zeros(5)
-UP, DOWN, GRIP = 0.0, -0.080, 0.025
+UP, DOWN, GRIP = 0.0, -0.080, 0.030
 
 
 class Keys:
