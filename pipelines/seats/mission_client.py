@@ -120,12 +120,18 @@ _PEER = {Segment.SPACE: "the ground", Segment.GROUND: "space"}
 
 
 def radio_text(
-    segment: Segment, *, hears: bool | None, heard: bool | None, unverified: int
+    segment: Segment,
+    *,
+    hears: bool | None,
+    heard: bool | None,
+    unverified: int,
+    connected: bool = True,
 ) -> texts.RadioText:
     """Return what to say at an end.
 
     hears: good frames of the peer arrive here. heard: the peer said so of ours in its newest
     report. None: not known. unverified: telecommands in a row that nobody acknowledged.
+    connected: the link is; then only both directions may be said to carry.
     """
     peer = _PEER[segment]
     sent = f" The last {unverified} were not acknowledged." if unverified > 1 else ""
@@ -140,6 +146,8 @@ def radio_text(
         return texts.RadioText(level="warn", words=f"The last {count} not acknowledged by {peer}.")
     if hears is None:
         return texts.RadioText(level="none", words="Nobody knows yet whether the radio carries.")
+    if not connected:
+        return texts.RadioText(level="bad", words="The link is not connected.")
     return texts.RadioText(level="good", words="Both directions carry.")
 
 
@@ -164,13 +172,18 @@ class MissionClient:
         self._telemetry = TelemetryLog(dictionary)
         self._hears: bool | None = None
         self._heard: bool | None = None
+        self._connected = True
         self._makers: Mapping[str, Callable[[], msgspec.Struct]] = {
             "chat": lambda: self._chat.text,
             "commands": lambda: self._commands.text,
             "values": lambda: self._telemetry.values_text,
             "events": lambda: self._telemetry.events_text,
             "radio": lambda: radio_text(
-                segment, hears=self._hears, heard=self._heard, unverified=self._commands.unverified
+                segment,
+                hears=self._hears,
+                heard=self._heard,
+                unverified=self._commands.unverified,
+                connected=self._connected,
             ),
         }
         #: By kind: what does not come from telemetry, as other processes tell it.
@@ -224,6 +237,12 @@ class MissionClient:
         """Whether good frames arrive at this end."""
         if hears != self._hears:
             self._hears = hears
+            self._changed.add("radio")
+
+    def handle_link(self, connected: bool) -> None:
+        """Whether the link is connected."""
+        if connected != self._connected:
+            self._connected = connected
             self._changed.add("radio")
 
     def handle_shown(self, kind: str, text: msgspec.Struct) -> None:

@@ -45,7 +45,8 @@ class LinkTile extends Tile {
 
 /** `<age-tile>`: how old the picture of the page's first `picture-view` is. */
 class AgeTile extends Tile {
-  follow() {
+  /** @param {Seat} seat */
+  follow({ connection }) {
     const view = document.querySelector("picture-view");
     if (!(view instanceof PictureView)) return;
     view.addEventListener("age", () => {
@@ -57,7 +58,9 @@ class AgeTile extends Tile {
       const age = ageMs === null ? "–" : `${ageMs.toFixed(0)} ms`;
       const stale = view.stale;
       const long = ageMs !== null && ageMs >= 10_000 ? `${(ageMs / 1000).toFixed(0)} s` : age;
-      this.show({ label: stale ? "Picture: stale" : "Picture: age", value: long, level: stale ? "bad" : "good" });
+      const frozen = connection.state?.safety.frozen === true;
+      const what = stale ? "Picture: stale" : frozen ? "Picture: a part is frozen" : "Picture: age";
+      this.show({ label: what, value: long, level: stale || frozen ? "bad" : "good" });
     });
   }
 }
