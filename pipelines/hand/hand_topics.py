@@ -81,9 +81,9 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     x_m, y_m: place of the handle from the centre. pressed: how often a button went down.
     robot_waits, robot_stopped: the robot's newest sample says that it waits for a new press, and
     that an emergency stop holds it. drive: what drives it, as of `OperatedHandle`. blind: the
-    operator's picture is too old. held: the dead-man button is pressed, for a test, too. request:
-    which leads on; "": it goes on by itself. command_age_ms: how old the commands are that it gets,
-    at most; None if unknown.
+    operator's picture is too old; frozen: only a part of it. held: the dead-man button is pressed,
+    for a test, too. request: which leads on; "": it goes on by itself. command_age_ms: how old the
+    commands are that it gets, at most; None if unknown.
     axes: those behind x and y.
     test, test_part, test_reason, test_number: the newest functional test, as
     `telepresence.haptics.device.functional_test.TestReport` has it. test_metrics: what it measured,
@@ -111,6 +111,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     robot_stopped: bool = False
     drive: Drive = ""
     blind: bool = False
+    frozen: bool = False
     held: bool = False
     request: str = ""
     command_age_ms: int | None = None

@@ -259,7 +259,13 @@ class JoystickStatusTeller(WatchedTopic):
         reason = operation.prompt or operation.reason or operation.supervisor.reason
         test = operation.test
         (answered, refusal), (commanded, command_refusal) = self._answered, self._commanded
-        robot = (handle.robot_waits, handle.robot_stopped, handle.drive, handle.blind)
+        robot = (
+            handle.robot_waits,
+            handle.robot_stopped,
+            handle.drive,
+            handle.blind,
+            handle.frozen,
+        )
         experiment = (operation.experiment, operation.partner)
         hand = (operation.state, handle.dead_man, handle.pressed, reason)
         present = (*hand, operation.held, test, *experiment, answered, commanded, *robot)
@@ -288,6 +294,7 @@ class JoystickStatusTeller(WatchedTopic):
             robot_stopped=handle.robot_stopped,
             drive=handle.drive,
             blind=handle.blind,
+            frozen=handle.frozen,
             held=operation.held,
             request=operation.due_request,
             command_age_ms=handle.command_age_ms,

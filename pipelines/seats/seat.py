@@ -448,7 +448,9 @@ class Seat:
     @property
     def _frozen(self) -> bool:
         """Whether a part of the operator's picture is frozen."""
-        return self._robot is not None and self._robot.blind
+        if self.plan.segment is Segment.GROUND:
+            return self._robot is not None and self._robot.blind
+        return self._status is not None and self._status.frozen
 
     def _known(self, number: int, now_ns: int) -> Known:
         """What this end knows, for a page."""
@@ -490,7 +492,11 @@ class Seat:
             russian=status.experiment is states.ExperimentName.RUSSIAN,
             drive=status.drive,
             waits=status.robot_waits,
-            barred=Hold.PICTURE if status.blind else Hold.AGE if late else Hold.NONE,
+            barred=Hold.PICTURE
+            if status.blind or status.frozen
+            else Hold.AGE
+            if late
+            else Hold.NONE,
         )
 
     def _with_robot(self, known: Known, *, fresh: bool) -> Known:

@@ -34,7 +34,8 @@ class OperatedHandle:
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
     stop, blind: the caller sets both. pressed: how often a button went down.
-    robot_waits, robot_stopped, drive: what the robot's newest sample says.
+    robot_waits, robot_stopped, drive: what the robot's newest sample says. frozen: it says that a
+    part of the operator's picture is.
     command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
     more: the axes behind x and y; their middle is where the device reads 0. axes: their names, with
     what the setup says of them. plane: which of x and y there are; the others stay at 0.
@@ -60,6 +61,7 @@ class OperatedHandle:
         self.buttons = self.pressed = 0
         self.robot_waits = self.robot_stopped = False
         self.drive: Drive = ""
+        self.frozen = False
         self.command_age_ms: int | None = None
         self.state = int(JoystickState.INIT)
         self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.capabilities.more]
@@ -86,12 +88,13 @@ class OperatedHandle:
         now_ns = self._now_ns
         if feedback is None:
             if now_ns >= self._heard_ns + _TRUSTED_NS:
-                self.robot_stopped, self.drive = False, ""
+                self.robot_stopped, self.drive, self.frozen = False, "", False
             return
         if now_ns >= self._heard_ns:
             self._heard_ns = now_ns + _HEARD_NS
             self.operation.handle_heard(now_ns)
         lit, self.robot_waits, self.robot_stopped = feedback[5], feedback[8], feedback[9]
+        self.frozen = feedback[10]
         self.drive = "hand" if not feedback[7] else "off" if feedback[4] == MODE_OFF else "own"
         self._leds = 0 if lit is None else 1 << lit
 
