@@ -109,11 +109,6 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     pressed: int = 0
     robot_waits: bool = False
     robot_stopped: bool = False
-    drive: Drive = ""
-    blind: bool = False
-    frozen: bool = False
-    held: bool = False
-    request: str = ""
     command_age_ms: int | None = None
     axes: tuple[AxisStatus, ...] = ()
     test: str = "none"
@@ -123,6 +118,11 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     test_metrics: dict[str, float | None] = {}
     experiment: ExperimentName = ExperimentName.GERMAN
     partner: bool | None = None
+    drive: Drive = ""
+    blind: bool = False
+    frozen: bool = False
+    held: bool = False
+    request: str = ""
 
 
 JOYSTICK_STATE_TOPIC = Topic[JoystickStatus](

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./modules.mjs";
 
-const { experimentWords, follows, handTile, joystickWords, linkTile, panelShown, robotWords } = await load("conditions.js");
+const { ageTile, experimentWords, follows, handTile, joystickWords, linkTile, panelShown, robotWords } = await load("conditions.js");
 const { Telemetry, systemSays } = await load("telemetry.js");
 const { PANEL_WORDS, PHASE_WORDS, commandText } = await load("mission_words.js");
 
@@ -263,6 +263,29 @@ test("a functional test says where the handle is, and what it came to", () => {
   assert.doesNotMatch(joystickWords(joystick, false), /At the handle/);
   const failed = { ...joystick, reason: "", test: "failed", test_reason: "the button was not pressed" };
   assert.match(joystickWords(failed, true), /failed: the button was not pressed/);
+});
+
+test("a functional test is no lack of motion, and a frozen part of a picture is no good age", () => {
+  const page = new Page("space");
+  const world = Object.assign(new World(), { joystick: "calibrated", test: "running", holder: 1, dead_man: true });
+  page.hear(world, () => 0.9);
+  assert.deepEqual(handTile(page), { label: "Handle: the joystick tests itself", value: "TEST", level: "none" });
+  assert.match(robotWords(page).words, /tests itself\. Hold the button/);
+  const young = { ageMs: 120, stale: false };
+  assert.equal(ageTile(page, young).level, "good");
+  page.state.safety.frozen = true;
+  assert.deepEqual(ageTile(page, young), { label: "Picture: a part is frozen", value: "120 ms", level: "bad" });
+});
+
+test("with the robot off the panel's own words stand; what must come before is said first", () => {
+  const page = new Page("space");
+  const world = Object.assign(new World(), { powered: false });
+  page.hear(world, () => 0.9);
+  const panel = { mode: "wait_task", words: "Wait for a task." };
+  assert.deepEqual(panelShown(page, panel), panel);
+  assert.doesNotMatch(robotWords(page).words, /press/i);
+  page.hear(Object.assign(world, { joystick: "recoverable error" }), () => 0.9);
+  assert.deepEqual(panelShown(page, panel), { mode: "wait_task", words: "Press Start." });
 });
 
 test("a telecommand names the task that it selects", () => {

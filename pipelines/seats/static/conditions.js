@@ -44,6 +44,18 @@ export function linkTile({ alive, ended, state, hello }, open) {
   return { label, value: "● CONNECTED", level: open ? "warn" : "good" };
 }
 
+/** The tile of the picture's age. @param {Known} known @param {{ageMs: number | null, stale: boolean} | null} picture Null: the session has none here. @returns {Tile} */
+export function ageTile({ alive, state }, picture) {
+  if (picture === null) return { label: "Picture", value: "NONE HERE", level: "none" };
+  const { ageMs, stale } = picture;
+  const age = ageMs === null ? "–" : `${ageMs.toFixed(0)} ms`;
+  const value = ageMs !== null && ageMs >= 10_000 ? `${(ageMs / 1000).toFixed(0)} s` : age;
+  // The age is that of the part that still moves.
+  const frozen = alive && state?.safety.frozen === true;
+  const label = stale ? "Picture: stale" : frozen ? "Picture: a part is frozen" : "Picture: age";
+  return { label, value, level: stale || frozen ? "bad" : "good" };
+}
+
 /** What the server says of hand and robot; null while nobody says. @param {Known} known @returns {SituationText | null} */
 export function situationOf({ alive, ended, state }) {
   return alive && !ended ? (state?.situation ?? null) : null;

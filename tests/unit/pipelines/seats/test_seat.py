@@ -349,6 +349,28 @@ def test_a_seat_shows_what_the_robot_answered_and_releases_it_across_the_radio(s
             assert (safety["stopped"], safety["by"], reason) == shown
 
 
+def test_a_page_is_told_one_situation_of_joystick_robot_and_picture(space):
+    page, status = space.open(unread=False), dict(reason="", dead_man=False, force_limit_n=6.0)
+    status |= dict(device="page", half_width_m=0.1, half_height_m=0.08, robot_waits=True)
+    space.seat.handle_signal(True, 0)
+    hold = "press and hold the dead-man button"
+    for state, more, why, says in (
+        (3, {"drive": "off"}, "robot off", "Ask the ground"),
+        (6, {"drive": "off", "request": "acknowledge"}, "joystick state", "Press “Acknowledge”"),
+        (2, {"held": True, "test": "running", "reason": hold}, "functional test", "Press and hold"),
+        (3, {"drive": "hand", "frozen": True}, "picture too old", "Wait for a fresh picture"),
+        (3, {"drive": "hand", "held": True, "robot_waits": False}, "follows", ""),
+    ):
+        space.seat.handle_status(JoystickStatus(**status | {"state": state} | more), 0)
+        space.seat.handle_time(NS_PER_S)
+        shown = page.texts("state")[-1]
+        assert shown["situation"]["why"] == why
+        assert shown["situation"]["advice"].startswith(says)
+        # The button of a test is held, too; and half a frozen picture is known.
+        assert shown["joystick"]["dead_man"] is more.get("held", False)
+        assert shown["safety"]["frozen"] is more.get("frozen", False)
+
+
 @pytest.mark.parametrize("segment", list(Segment))
 def test_only_the_trainer_gives_exercises_at_either_end(segment):
     room = Room(segment, topology_of(BUILT_IN["spacejustin"], pages=True, trainer=True))
