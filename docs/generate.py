@@ -9,34 +9,41 @@ the same under every Python version.
 """
 
 import argparse
+import dataclasses
+import inspect
 import json
 import re
 import subprocess
 import sys
 import tempfile
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
 
 import griffe
-from report_keys import counts_table, keys_tables
+from report_keys import counts, report_keys
+from user_tables import holds_table, keys_table, pages_list
 
 from pipelines.cli import make_parser
 from pipelines.recording.channels import channels_of
-from pipelines.recording.recorded_messages import SCHEMAS
-from pipelines.recording.schemas import MessageSchema
-from pipelines.report.model import LinkReport, SessionReport
-from pipelines.report.result import Headline
+from pipelines.session.setup.composition import Composition
 from pipelines.session.setup.segments import Direction
 from pipelines.session.setup.setup_file import load_setup
+from pipelines.session.setup.setup_text import SETUP_FILE, file_kind
+from pipelines.session.setup.table import Playback, RtcLeg, Setup, VideoStream, VoiceStream
 from pipelines.session.topology import tables
 from pipelines.session.topology.table import Topology
 from pipelines.table import topology_of
+from telepresence.haptics.axes import AxisSettings
+from telepresence.haptics.envelope import SafetyLimits
+from telepresence.haptics.robot import Mark
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = ("media", "codecs", "rtp", "sources", "streams", "topics", "clock")
 PACKAGES = ("kontur_av", *(f"kontur_av.{name}" for name in MODULES), "telepresence", "pipelines")
 HEAD = """# The Python interface
+
+For whoever writes a program: which names may it use, and what are they for?
 
 <!-- Written by docs/generate.py from the docstrings: change those, not this page. -->
 
@@ -101,19 +108,18 @@ with ka.SoundSender("localhost:5006", cap_bps=64_000) as end:
 ## Reference
 
 Import these names from the modules that stand above them. All else is the project's own and may
-change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`. `samples/` has
-short scripts that use these names.
+change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
 
-Of a class with more than six methods this page has their names. What they do, and types, units,
-shapes and errors are in the docstrings:
-`python -c "import kontur_av; help(kontur_av.PictureSender)"`.
+Classes are bold; of small ones the methods stand behind. Types, units, shapes and errors are in the
+docstrings: `python -c "import kontur_av; help(kontur_av.PictureSender)"`.
 """
-#: Keys whose unit says that their value is a number.
-NUMBERS = re.compile(
-    r"(`(?:p[\d.]+|max|mean|\w+_(?:ms|s|us|mm|km|deg|n|c|percent))`\??) \(number\)"
+#: Of a class with more methods the page has none.
+MOST_METHODS = 5
+#: Fields of a setup that are tables of their own.
+TABLES = (
+    *("uplink_video", "uplink_voice", "downlink_video", "downlink_voice", "uplink", "downlink"),
+    *("composed", "axis", "rtc", "marks", "playback", "safety"),
 )
-#: Of a class with more methods the page has their names only.
-MOST_METHODS = 6
 STREAM = "| {name} | {cap} | {mean:.1f} | {most:.1f} | {shown} | {lost} | {p50:.1f} | {p99:.1f} |"
 
 
@@ -129,8 +135,7 @@ def python_page() -> str:
         names = sorted({*exported(module)} - before, key=lambda name: (name.lower(), name))
         before.update(names)
         parts.append(f"## `{package}`\n\n{module.docstring.value}\n")
-        told: dict[str, str] = {}
-        parts += [entry(module[name], told) for name in names]
+        parts.append("\n".join(entry(module[name]) for name in names) + "\n")
     return "\n".join(parts)
 
 
@@ -138,63 +143,22 @@ def exported(module: griffe.Object | griffe.Alias) -> list[str]:
     return [str(name).strip("'\"") for name in module.exports or ()]
 
 
-def anchor(name: str) -> str:
-    """The fragment that GitHub makes of a heading."""
-    return re.sub(r"[^\w -]", "", name.lower()).replace(" ", "-")
-
-
-def entry(member: griffe.Object | griffe.Alias, told: dict[str, str]) -> str:
-    """One exported name: its signature, its docstring, and its public methods.
-
-    told: by line, the class that has it already; lines of this class are added.
-    """
+def entry(member: griffe.Object | griffe.Alias) -> str:
+    """One exported name: how it is called, the first sentence of its docstring, its methods."""
     if member.is_attribute:
-        code = f"{member.name} = {member.value}".replace("'", '"')
-        return f"### {member.name}\n\n```python\n{code}\n```\n\n{paragraph(member)}\n"
-    lines = [f"### {member.name}\n\n```python"]
+        value = " ".join(str(member.value).split()).replace("'", '"')
+        return f"- `{member.name} = {value}`" if len(value) <= 60 else f"- `{member.name}`"
+    if member.is_alias and member.target.name != member.name:
+        return f"- `{member.name}`: the former name of `{member.target.name}`"
     if member.is_function:
-        lines += [signature(member), "```\n", paragraph(member), ""]
-        return "\n".join(lines)
-    bases = ", ".join(str(base) for base in member.bases)
-    lines.append(f"class {member.name}({bases}):" if bases else f"class {member.name}:")
+        return f"- `{member.name}{names(member)}`: {sentence(member)}"
     public = {
         name: found
         for name, found in {**member.inherited_members, **member.members}.items()
-        if name == "__init__" or not name.startswith("_")
+        if not name.startswith("_") and found.is_function
     }
-    init = public.pop("__init__", None)
-    own_init = init is not None and init.is_function and "dataclass" not in member.labels
-    for name, found in public.items():
-        if own_init or not found.is_attribute or "property" in found.labels:
-            continue
-        kind = f": {found.annotation}" if found.annotation else ""
-        default = f" = {found.value}" if found.value is not None else ""
-        # Quotes as ruff would set them: it checks the page, too.
-        lines.append(f"    {name}{kind}{default}".replace("'", '"'))
-    methods = [name for name, found in public.items() if _is_method(found)]
-    if own_init:
-        lines.append("    " + signature(init).replace("\n", "\n    "))
-    lines += ["```\n", paragraph(member), ""]
-    if len(methods) > MOST_METHODS:
-        lines.append("Methods: " + ", ".join(f"`{name}`" for name in methods))
-        return "\n".join(lines) + "\n"
-    again: dict[str, list[str]] = {}
-    for name in methods:
-        found = public[name]
-        shown = names(found) if found.is_function else f": {found.annotation}"
-        line = f"- `{name}{shown}`: {sentence(found)}"
-        if shown.endswith("None"):
-            line = line.replace(", or None.", ".")
-        if told.setdefault(line, member.name) == member.name:
-            lines.append(line.removesuffix(": "))
-        else:
-            again.setdefault(told[line], []).append(f"`{name}`")
-    lines += [f"- {', '.join(names)}: as of [{of}](#{anchor(of)})" for of, names in again.items()]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-def _is_method(found: griffe.Object | griffe.Alias) -> bool:
-    return found.is_function or "property" in found.labels
+    methods = ", ".join(f"`{name}`" for name in public) if len(public) <= MOST_METHODS else ""
+    return f"- **`{member.name}`**: {sentence(member)}" + f" {methods}." * bool(methods)
 
 
 def arguments(function: griffe.Object | griffe.Alias) -> str:
@@ -211,16 +175,6 @@ def names(function: griffe.Object | griffe.Alias) -> str:
         before, _, default = parameter.partition(" = ")
         kept.append(before.partition(":")[0] + f"={default}" * bool(default))
     return f"({', '.join(kept)})" + f" -> {result}" * (result != "None")
-
-
-def signature(function: griffe.Object | griffe.Alias) -> str:
-    line = f"def {function.name}{arguments(function)}".removesuffix(" -> None")
-    if len(line) <= 96:
-        return line
-    parameters, _, result = arguments(function).rpartition(") -> ")
-    inner = ",\n    ".join(_split(parameters.removeprefix("(")))
-    end = f" -> {result}" * (result != "None")
-    return f"def {function.name}(\n    {inner},\n){end}"
 
 
 def _split(parameters: str) -> list[str]:
@@ -283,39 +237,63 @@ def run_table() -> str:
 def commands_text() -> str:
     """What several commands' options mean, then every command with those of its own.
 
-    The options of benches are left to `--help`.
+    What only the subcommands of one command share stands there. Which command has a shared option,
+    and the options of benches, are left to `--help`.
     """
-    commands = list(_commands(make_parser(), "kontur-av"))
-    rows = {name: _rows(one) for name, one in commands if not name.startswith("kontur-av bench ")}
-    counts = Counter(row for of in rows.values() for row in of)
-    # By option: its most frequent meaning, if at least two commands have it.
-    shared: dict[str, tuple[str, str]] = {}
-    for row, count in counts.most_common():
-        if count >= 2 and row[1]:
-            shared.setdefault(_option(row), row)
+    commands = [
+        (name.removeprefix("kontur-av "), parser)
+        for name, parser in _commands(make_parser(), "kontur-av")
+        if not name.startswith("kontur-av bench ")
+    ]
+    rows = {name: _rows(parser) for name, parser in commands}
+    shared = _shared({name: name.split()[0] for name in rows}, rows)
     parts = ["## Options of several commands\n"]
-    listed = {_option(row): row for row in counts if row == shared.get(_option(row))}
-    parts += [f"- {option}: {told}" for option, told in listed.values()]
+    parts += [f"- {option}: {told}" for option, told in shared]
+    below: list[tuple[str, str]] = []
     for name, parser in commands:
         told = _sentence(parser.description)
-        mine = rows.get(name, [])
-        alike = [row for row in mine if row in listed.values()]
-        own = [
-            option + f": {what}" * bool(what)
-            for option, what in mine
-            if (option, what) not in alike
-        ]
-        also = [f"`{_option(row)}`" for row in alike]
-        if len(name.split()) > 2 and len(mine) <= 3:
-            # Few options: one item.
-            parts += [""] * (not parts[-1].startswith("- "))
-            parts.append(f"- `{name}`: {told}" + f" {'; '.join([*own, *also])}" * bool(mine))
+        own = _own(rows[name], shared)
+        if " " in name:
+            own = [row for row in own if row not in below]
+            parts.append(f"- `{name}`: {told} {'; '.join(map(_told, own))}".rstrip())
             continue
-        parts.append(f"\n{'#' * len(name.split())} `{name}`\n\n{told}")
-        parts += [""] * bool(mine)
-        parts += [f"- {one}" for one in own]
-        parts += ["- " + "and " * bool(own) + ", ".join(also)] * bool(also)
+        inner = {of: of for of in rows if of.startswith(f"{name} ")}
+        below = [row for row in _shared(inner, rows) if row not in shared]
+        parts.append(f"\n## `kontur-av {name}`\n\n{told}")
+        parts += [""] * bool(own or inner)
+        parts += [f"- {_told(row)}" for row in own]
+        parts += ["- of several: " + "; ".join(map(_told, below))] * bool(below)
     return "\n".join(parts) + "\n"
+
+
+def _shared(
+    homes: Mapping[str, str], rows: Mapping[str, list[tuple[str, str]]]
+) -> list[tuple[str, str]]:
+    """By option its most frequent meaning, if commands of at least two homes have it."""
+    having: dict[tuple[str, str], set[str]] = {}
+    for name, home in homes.items():
+        for row in rows[name]:
+            having.setdefault(row, set()).add(home)
+    found: dict[str, tuple[str, str]] = {}
+    for row in sorted(having, key=lambda row: -len(having[row])):
+        if len(having[row]) >= 2 and row[1]:
+            found.setdefault(_option(row), row)
+    return [row for row in having if row in found.values()]
+
+
+def _told(row: tuple[str, str]) -> str:
+    option, what = row
+    return option + f": {what}" * bool(what)
+
+
+def _own(rows: list[tuple[str, str]], shared: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """The options that are not shared; all times of virtual steps as one."""
+    own = [row for row in rows if row not in shared]
+    times = [_option(row) for row in own if row[1].startswith("virtual time to ")]
+    if times:
+        own = [row for row in own if _option(row) not in times]
+        own.append((f"`{times[0]}` to `{times[-1]}`", "virtual time that such a step takes"))
+    return own
 
 
 def _option(row: tuple[str, str]) -> str:
@@ -411,66 +389,16 @@ def topology_blocks() -> dict[str, str]:
     channels = _channels_table(session, topology_of(load_setup("taskboard")))
     return {
         "commands": commands_text(),
+        "pages": pages_list(),
+        "keys": keys_table(),
+        "holds": holds_table(),
         "processes": _markdown(joined(_in_code(processes, "process"))),
         "channels": _markdown(channels),
         "recorded channels": _markdown(joined(recorded_channels(session))),
-        "recorded fields": recorded_fields(),
-        **told_once(
-            {
-                "report": keys_tables(SessionReport),
-                "counts": counts_table(),
-                "link report": keys_tables(LinkReport, without=SessionReport),
-                "headlines": keys_tables(Headline),
-            }
-        ),
+        "setup": setup_fields(),
+        "report": report_keys(),
+        "counts": counts(),
     }
-
-
-def told_once(blocks: dict[str, str]) -> dict[str, str]:
-    """The lists of these blocks, with runs of three items or more in their first place only.
-
-    A later place names their first and last key, and the list that has them.
-    """
-    before: list[tuple[str, list[str]]] = []
-    for name, block in blocks.items():
-        parts = []
-        for part in block.strip().split("\n\n**"):
-            title, *items = NUMBERS.sub(r"\1", part).split("\n- ")
-            listed = title.strip("*\n ").partition("**")[0].rstrip(".")
-            kept = list(_without_runs(items, listed, before))
-            if not (name == "counts" and len(kept) == 1 and ": as in " in kept[0]):
-                parts.append("\n- ".join([title, *kept]))
-        blocks[name] = "\n\n**".join(parts) + "\n"
-    return blocks
-
-
-def _without_runs(
-    items: list[str], title: str, before: list[tuple[str, list[str]]]
-) -> Iterator[str]:
-    """The items, runs of those that were in `before` named only. Adds new ones to `before`."""
-    fresh: list[str] = []
-    before.append((title, fresh))
-    while items:
-        plain = [item.replace("`STREAM.", "`", 1) for item in items]
-        length, where = max(
-            ((_alike(plain, had[at:]), of) for of, had in before for at in range(len(had))),
-            key=lambda found: found[0],
-            default=(0, ""),
-        )
-        if length >= 3:
-            first, last = (items[at].partition(":")[0].split()[0] for at in (0, length - 1))
-            yield f"{first} … {last}: as " + (f"in {where}" if where != title else "above")
-        else:
-            length = 1
-            fresh.append(plain[0])
-            yield items[0]
-        items = items[length:]
-
-
-def _alike(items: list[str], others: list[str]) -> int:
-    """How many items are the same from the first on."""
-    pairs = list(zip(items, others, strict=False))
-    return next((at for at, (one, other) in enumerate(pairs) if one != other), len(pairs))
 
 
 def joined(table: tables.Table) -> tables.Table:
@@ -491,21 +419,53 @@ def recorded_channels(session: Topology) -> tables.Table:
     )
 
 
-def recorded_fields() -> str:
-    """A list of fields for each schema, and for each one in it."""
-    named: list[tuple[str, MessageSchema]] = []
-    for schema in SCHEMAS:
-        named.append((schema.full_name, schema))
-        named += [(f"{schema.full_name}.{inner.name}", inner) for inner in schema.nested]
+def setup_fields() -> str:
+    """For each table of a setup's file: its keys, their defaults, and what they mean."""
+    tables_of: dict[str, tuple[Any, Any]] = {
+        "": (Setup, SETUP_FILE),
+        "[uplink_video]`, `[downlink_video]": (VideoStream, file_kind(VideoStream)),
+        "[uplink_voice]`, `[downlink_voice]": (VoiceStream, file_kind(VoiceStream)),
+        "[composed.NAME]": (Composition, Composition),
+        "[axis.NAME]": (AxisSettings, AxisSettings),
+        "[rtc]": (RtcLeg, file_kind(RtcLeg)),
+        "[marks.NAME]": (Mark, Mark),
+        "[playback]": (Playback, Playback),
+        "[safety]": (SafetyLimits, SafetyLimits),
+    }
     parts = []
-    for name, schema in named:
-        alike: dict[str, list[str]] = {}
-        for row in schema.fields:
-            told = f" ({row.type}{'[]' * row.repeated}): {row.what}"
-            alike.setdefault(told, []).append(f"`{row.name}`")
-        fields = (f"- {', '.join(names)}{told}" for told, names in alike.items())
-        parts.append("\n".join([f"`{name}`\n", *fields]))
-    return "\n\n".join(parts) + "\n"
+    for name, (kind, in_file) in tables_of.items():
+        said = _said_of_fields(kind)
+        lines = [f"**`{name}`**\n"] if name else []
+        for field in dataclasses.fields(in_file):
+            own = {"size": "width"}.get(field.name, field.name.replace("_kbps", "_bps"))
+            if name or own not in TABLES:
+                what = re.sub(r"\(?docs/(([\w-]+)\.md[#\w-]*)\)?", r"([\2](\1))", said[own])
+                lines.append(f"- `{field.name}`{_default(field, kind, own)}: {what}")
+        parts.append("\n".join(lines) + "\n")
+    return "\n".join(parts)
+
+
+def _said_of_fields(kind: type) -> dict[str, str]:
+    """By field: its sentence in the docstring, `name, name: what`."""
+    text = inspect.getdoc(kind) or ""
+    found = {}
+    for entry in re.split(r"\n(?=\w+(?:, \w+)*: )|(?<=\. )(?=\w+(?:, \w+)*: )", text)[1:]:
+        names, _, what = entry.partition(": ")
+        for name in names.split(", "):
+            found[name] = " ".join(what.split()).partition("\n\n")[0]
+    return found
+
+
+def _default(field: dataclasses.Field[Any], kind: Any, own: str) -> str:
+    """` = ` and the default of a field as a file has it; of choices all, the default first."""
+    hint = next(one.type for one in dataclasses.fields(kind) if one.name == own)
+    default = field.default
+    if get_origin(hint) is Literal:
+        choices = sorted(get_args(hint), key=lambda one: one != default)
+        return " = " + ", ".join(f'`"{one}"`' for one in choices)
+    if default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+        return " (must be given)" * (own != "name")
+    return "" if default in (dataclasses.MISSING, None) else f" = `{json.dumps(default)}`"
 
 
 def filled(document: str, blocks: dict[str, str]) -> str:

@@ -1,14 +1,9 @@
 """The tables of a report's keys for the documents, made from the types and their comments."""
 
-import dataclasses
 import inspect
-import itertools
-import re
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping
-
-import msgspec
+from collections.abc import Container, Iterator, Mapping
 
 from kontur_av.codecs.decoder import DecoderCounts
 from kontur_av.streams.paced_sender import SenderCounts
@@ -30,7 +25,14 @@ from pipelines.mission.mission_metrics import ComponentMetrics, TaskMetrics, Tmt
 from pipelines.packets.bridge import FrameMetrics, PacketsMetrics
 from pipelines.partner.partner_metrics import RtcMetrics
 from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetrics
-from pipelines.report.model import keys_of
+from pipelines.report.model import (
+    ProcessReport,
+    SessionReport,
+    StreamLatency,
+    StreamReport,
+    keys_of,
+)
+from pipelines.report.schema import comments, is_record
 from pipelines.seats.page_metrics import PageMetrics
 from pipelines.session.session_metrics import (
     LoopMetrics,
@@ -96,115 +98,125 @@ TOLD: tuple[type, ...] = (
     RecorderMetrics,
     FoxgloveMetrics,
 )
-_WORDS: dict[object, str] = {int: "integer", float: "number", str: "text", bool: "boolean"}
+#: Of these records the page has a sentence for each key; of all others the names.
+EXPLAINED: tuple[type, ...] = (
+    SessionReport,
+    StreamReport,
+    StreamLatency,
+    ProcessReport,
+)
 
 
-def keys_tables(kind: type, *, without: type | None = None) -> str:
-    """A table for `kind` and one for each type below it, in the order in which they come."""
-    listed = [] if without is None else _types_below(without)
+def report_keys() -> str:
+    """The keys of a session's report, by their place in it."""
+    said: set[tuple[str, str]] = set()
+    placed = {place.partition(".")[0] for place in _places(SessionReport).values()}
     parts = []
-    for one in _types_below(kind):
-        if one in listed:
+    for kind, place in _places(SessionReport).items():
+        title = f"**`{place}`**: {_summary(kind)}" if place else f"{_summary(kind)}"
+        if place.startswith("trace."):
+            # Of `report join` alone.
             continue
-        parts.append(f"**{one.__name__}**: {_summary(one)}\n\n" + "\n".join(_listed(_rows(one))))
+        if kind in EXPLAINED:
+            # What has a place of its own is explained there.
+            without = placed if kind is SessionReport else set()
+            parts.append("\n".join([title + "\n", *_explained(kind, said, without)]))
+        elif names := [f"`{key}`" for key, _, _ in _rows(kind)]:
+            parts.append(f"{title} {', '.join(names)}")
     return "\n\n".join(parts) + "\n"
 
 
-def counts_table() -> str:
-    """Lists of all that processes count and tell, by the names that it has in a report."""
-    parts = []
+def counts() -> str:
+    """What processes count that has no place of its own in the report, by what it is of."""
+    placed = set(_places(SessionReport, flat=True))
+    lines = []
     for kind in TOLD:
-        prefix = "STREAM." if kind is DisplayMetrics else ""
-        parts.append(f"**{_summary(kind)}**\n\n" + "\n".join(_listed(_rows(kind, prefix))))
-    return "\n\n".join(parts) + "\n"
+        names = [f"`{key}`" for key, _, _ in _rows(kind)]
+        lines += [] if kind in placed else [f"- {_summary(kind)} {', '.join(names)}"]
+    return "\n".join(lines) + "\n"
 
 
-def _listed(rows: Iterable[tuple[str, str]]) -> list[str]:
-    """Items of (key, comment); keys without a comment share an item with their neighbours."""
-    items = []
-    for what, alike in itertools.groupby(rows, key=lambda row: row[1]):
-        keys = [key for key, _ in alike]
-        items += [f"- {key}: {what}" for key in keys] if what else [f"- {', '.join(keys)}"]
-    return items
+def _explained(kind: type, said: set[tuple[str, str]], without: Container[str]) -> Iterator[str]:
+    """An item for each key; those that were explained before, or need no words, share one."""
+    rows = [row for row in _rows(kind) if row[0] not in without]
+    of_all = {row[:2] for row in rows} - {
+        row[:2] for row in rows if [other[:2] for other in rows].count(row[:2]) == 1 and row[2]
+    }
+    rows = [(key, told, "" if (key, told) in of_all else of) for key, told, of in rows]
+    for group in dict.fromkeys(["", *(of for _, _, of in rows)]):
+        if group:
+            yield f"\n*{group}*\n"
+        short, here = [], set[str]()
+        for key, told, of in rows:
+            if of != group or f"`{key}`" in short:
+                continue
+            if told and (key, told) not in said:
+                said.add((key, told))
+                here.add(key)
+                yield f"- `{key}`: {told}"
+            elif key not in here:
+                short.append(f"`{key}`")
+        if short:
+            yield f"- {', '.join(short)}"
+
+
+def _places(kind: type, *, flat: bool = False) -> dict[type, str]:
+    """By record below `kind`: where it first stands, such as `streams.NAME.latency_ms`.
+
+    flat: also those whose keys stand in the record that holds them.
+    """
+    found = {kind: ""}
+    waiting = [kind]
+    for one in waiting:
+        for key, hint, is_flat in _fields(one):
+            for below in _records(hint):
+                path = ".".join(filter(None, (found[one], key))) + _by_name(hint)
+                if below not in found and (flat or not is_flat):
+                    found[below] = path
+                    waiting.append(below)
+    return found
+
+
+def _fields(kind: type) -> Iterator[tuple[str, object, bool]]:
+    """The keys of a record with their types, also those of the flat ones in it."""
+    hints = typing.get_type_hints(kind)
+    for name, key, _, flat in keys_of(kind):
+        for record in _records(hints[name]) if flat else ():
+            yield "", record, True
+            yield from _fields(record)
+        if not flat:
+            yield key, hints[name], False
+
+
+def _by_name(hint: object) -> str:
+    """`.NAME` for a mapping, `[]` for a list."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (types.UnionType, typing.Union):
+        return next(filter(None, map(_by_name, arguments)), "")
+    return {dict: ".NAME", Mapping: ".NAME", list: "[]", tuple: "[]"}.get(origin, "")
 
 
 def _summary(kind: type) -> str:
     return (inspect.getdoc(kind) or "").splitlines()[0]
 
 
-def comments(kind: type) -> dict[str, str]:
-    """By field: the `#:` comment above it, those of base classes included."""
-    found: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        if not _is_record(base):
-            continue
-        above: list[str] = []
-        for line in inspect.getsource(base).splitlines():
-            text = line.strip()
-            if text.startswith("#: "):
-                above.append(text.removeprefix("#: "))
-            elif match := re.match(r"(\w+): ", text):
-                found[match[1]] = " ".join(above)
-                above = []
-            else:
-                above = []
-    return found
+def _rows(kind: type, of: str = "") -> Iterator[tuple[str, str, str]]:
+    """Each key with its sentence, and of which kind of stream alone it is.
 
-
-def _rows(kind: type, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Each key with its type, unless it is an integer, and its sentence; `?`: may be absent.
-
-    The fields of a flat record stand in the place of its key.
+    The keys of a flat record stand in the place of its own.
     """
     texts, hints = comments(kind), typing.get_type_hints(kind)
-    for name, key, optional, flat in keys_of(kind):
-        below = list(_records(hints[name]))
-        if flat:
-            for record in below:
-                yield from _rows(record, prefix)
+    for name, key, _, flat in keys_of(kind):
+        if not flat:
+            yield key, texts.get(name, ""), of
             continue
-        words = _words(hints[name], optional=optional)
-        told = f"`{prefix}{key}`" + "?" * optional
-        yield told if words == _WORDS[int] else f"{told} ({words})", texts.get(name, "")
-
-
-def _words(hint: object, *, optional: bool = False) -> str:
-    """A type in words."""
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin in (types.UnionType, typing.Union):
-        one = next(of for of in arguments if of is not type(None))
-        return _words(one) + ("" if optional else " or null")
-    if origin in (dict, Mapping):
-        return "by name" if arguments[1] is int else f"{_words(arguments[1])}, by name"
-    if origin is list:
-        return f"list of {_words(arguments[0])}"
-    if origin is tuple and Ellipsis in arguments:
-        return f"list of {_words(arguments[0])}"
-    if origin is tuple:
-        return f"[{', '.join(map(_words, arguments))}]"
-    return _WORDS.get(hint, getattr(hint, "__name__", str(hint)))
-
-
-def _types_below(kind: type) -> list[type]:
-    """A type, and those below it that have tables of their own: a flat one stands in its parent."""
-    found, listed = [kind], [kind]
-    for one in found:
-        hints = typing.get_type_hints(one)
-        for name, _, _, flat in keys_of(one):
-            for below in _records(hints[name]):
-                found += [] if below in found else [below]
-                listed += [] if below in listed or flat else [below]
-    return listed
+        for record in _records(hints[name]):
+            group = texts.get(name, "")
+            yield from _rows(record, of or (group if group.startswith("Of ") else ""))
 
 
 def _records(hint: object) -> Iterator[type]:
-    if isinstance(hint, type) and _is_record(hint):
+    if isinstance(hint, type) and is_record(hint):
         yield hint
     for argument in typing.get_args(hint):
         yield from _records(argument)
-
-
-def _is_record(kind: type) -> bool:
-    return dataclasses.is_dataclass(kind) or (
-        issubclass(kind, msgspec.Struct) and kind is not msgspec.Struct
-    )

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from types import FrameType
+from typing import Any
 
 from kontur_av import __version__
 from kontur_av.errors import ConfigError
@@ -40,7 +41,43 @@ INTERRUPTED = 128 + 2
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser that reports mistakes as ConfigError, in one line like all others."""
+    """A parser that reports mistakes as ConfigError, in one line like all others.
+
+    Values that may be left out can stand before, between and behind options. argparse itself takes
+    none of them once an option has come: `run DIR --inbox FOLDER -- -q`.
+    """
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        words = list(sys.argv[1:] if args is None else args)
+        later = [one for one in self._get_positional_actions() if one.nargs in ("*", "?")]
+        many = [one for one in later if one.nargs == "*"]
+        if not later or ("--" in words and not many):
+            return super().parse_known_args(words, namespace)
+        at = words.index("--") if "--" in words else len(words)
+        known = self._actions
+        self._actions = [one for one in known if one not in later]
+        try:
+            found, rest = super().parse_known_args(words[:at], namespace)
+        finally:
+            self._actions = known
+        odd = [one for one in rest if one[:1] == "-" and not self._is_value(one)]
+        values = [one for one in rest if one not in odd] + words[at + 1 :]
+        for one in later:
+            count = len(values) if one.nargs == "*" else 1
+            self._give(one, values[:count], found)
+            del values[:count]
+        return found, odd + values
+
+    def _is_value(self, word: str) -> bool:
+        return word == "-" or bool(self._negative_number_matcher.match(word))
+
+    def _give(self, one: argparse.Action, values: list[str], found: argparse.Namespace) -> None:
+        if not values and hasattr(found, one.dest) and getattr(found, one.dest) != one.default:
+            return
+        try:
+            one(self, found, self._get_values(one, values))
+        except argparse.ArgumentError as error:
+            self.error(str(error))
 
     def error(self, message: str) -> None:  # type: ignore[override]
         # A value that begins with a dash is taken for an option.

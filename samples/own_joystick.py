@@ -3,7 +3,7 @@
     kontur-av joystick check own_joystick:Lever
     kontur-av simulate --setup taskboard --seconds 20 --no-media --joystick own_joystick:HeldLever
 
-in this file's directory. A driver of a real joystick has the same methods; `docs/robots.md` says
+in this file's directory. A driver of a real joystick has the same methods; `docs/drivers.md` says
 what each is for.
 """
 

@@ -1,4 +1,4 @@
-/* A robot, or a joystick, in C: the controller's end of the protocol of docs/robots.md.
+/* A robot, or a joystick, in C: the controller's end of the protocol of docs/wire-formats.md.
 
        cc -O2 -std=c11 -Wall -Wextra -o udp_robot udp_robot.c
        ./udp_robot robot 9000 &

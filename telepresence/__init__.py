@@ -2,7 +2,7 @@
 
 All are cores: they open no socket and ask no clock. samples/slots_virtual_time.py drives both ends
 of the link by hand. `RobotDevice` and `JoystickDevice` are what a robot and a joystick of your own
-are (docs/robots.md).
+are (docs/drivers.md).
 """
 
 from typing import TYPE_CHECKING
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from telepresence.haptics.axes import AxisCapabilities, AxisReading
     from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, RobotSide
     from telepresence.haptics.board import WALL_X_M
     from telepresence.haptics.device.device import (
@@ -57,6 +58,8 @@ __all__ = [
     "SOFT_GRIP",
     "UPLINK",
     "WALL_X_M",
+    "AxisCapabilities",
+    "AxisReading",
     "Command",
     "EventReport",
     "Feedback",

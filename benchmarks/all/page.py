@@ -10,17 +10,19 @@ from pipelines.report.result import Headline, decimals
 
 _HEAD = """# Measurements
 
-`python -m benchmarks all` wrote this page from the JSON files in `{folder}`; with `--render` it
-does so without measuring. A figure is the median of its runs, with the least and the largest in
-brackets where they differ; on virtual time they never do. The machine is named where it changes. Of
-single clips, speech and pages only the main figures are here; the files have all.
+For whoever asks for figures: what was measured, with which command, on which code?
+
+`python -m benchmarks all` wrote this page from the JSON files in `{folder}`, which have all other
+figures. A figure is the median of its runs, with least and largest in brackets where they differ.
 """
-#: By measurement: figures, as `GROUP: WHAT`, that are in the files only.
-_IN_FILES_ONLY = {
-    "video": re.compile(r"(?!clips|targets).*: (?!.*, p50|.*, p99|(PSNR|VMAF), mean)"),
-    "voice": re.compile(r".*p50"),
-    "page": re.compile(r".*p95"),
-    "rtc": re.compile(r".*p95"),
+#: By measurement: figures without a target that are on the page; of others, all if none has one.
+_SHOWN = {
+    "video": "clips that no.*: VMAF, mean",
+    "voice": "at 8 .*: loss (none.*p99|5 %, random: PESQ)",
+    "link": "live: ",
+    "haptics": "(.*: )?(cells|unstable cells|energy made|felt stiffness)",
+    **dict.fromkeys(("sync", "sync-live"), ".*p95"),
+    "rtc": "(from a partner|to a browser).*p99",
 }
 
 
@@ -47,13 +49,12 @@ def _section(runs: Sequence[Record], machine: str) -> str:
     for record in runs:
         if record.failure:
             lines.append(f"**Run {record.number} failed: {_safe(record.failure)}**")
-    hidden = _IN_FILES_ONLY.get(runs[0].name)
-    found = [
-        headline
-        for record in runs
-        for headline in record.headlines
-        if not (hidden and hidden.match(f"{headline.group}: {headline.what}"))
-    ]
+    every = [headline for record in runs for headline in record.headlines]
+    of_target = [one for one in every if one.target and "were tuned on" not in one.group]
+    judged = {(one.group, one.what) for one in of_target}
+    shown = _SHOWN.get(runs[0].name, "$" if judged else "")
+    places = ((one, (one.group, one.what)) for one in every)
+    found = [one for one, at in places if at in judged or re.match(shown, ": ".join(at))]
     for group in dict.fromkeys(headline.group for headline in found):
         lines += ["", *_table(group, [one for one in found if one.group == group])]
     return "\n".join([*lines, ""])

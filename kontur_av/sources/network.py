@@ -56,7 +56,7 @@ _WHY: dict[type[Exception], str] = {
     "pictures, or too many viewers",
     av.error.HTTPServerError: "the server failed (5XX): look at its own log",
     av.error.ProtocolNotFoundError: "PyAV's FFmpeg has no such protocol: relay it to "
-    "udp://127.0.0.1:PORT (docs/players.md)",
+    "udp://127.0.0.1:PORT (docs/rtp-streams.md)",
     TimeoutError: _STALLED,
     av.error.ExitError: _STALLED,
 }

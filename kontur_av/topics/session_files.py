@@ -111,6 +111,13 @@ def _other_users() -> list[str]:
     return [names.get(uid, f"#{uid}") for uid in sorted(owners - {os.getuid()})]
 
 
+def fitting(name: str | None, running: Sequence[str]) -> list[str]:
+    """The sessions of `running` that `name` may mean: its name, that of its setup; None: any."""
+    if name is None or name in running:
+        return list(running) if name is None else [name]
+    return [session for session in running if session.startswith(f"{name}-")]
+
+
 def choose_session(name: str | None, running: Sequence[str], how: str = "") -> str:
     """Return the session of `running` that `name` means: its name, or the name of its setup.
 
@@ -131,12 +138,7 @@ def choose_session(name: str | None, running: Sequence[str], how: str = "") -> s
             "`kontur-av stream --setup spacejustin`, "
             f"or set TMPDIR as the session has it ({user_root()} has none)"
         )
-    if name is None:
-        chosen = list(running)
-    elif name in running:
-        chosen = [name]
-    else:
-        chosen = [session for session in running if session.startswith(f"{name}-")]
+    chosen = fitting(name, running)
     if not chosen:
         raise ConfigError(f"no session {name} is running: choose one of {', '.join(running)}{how}")
     if len(chosen) > 1:

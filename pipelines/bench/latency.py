@@ -107,7 +107,7 @@ _HISTOGRAM_PERCENT = 0.4
 _table = partial(titled_table, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
 
 _LEAD_NOTE = (
-    "of an event at any instant of the camera's period; docs/latency.md says how each is obtained\n"
+    "of an event at any instant of the camera's period; see docs/experiments/latency.md\n"
     f"noticeable from {_NOTICED_MS:g} ms ({LIMITS['video_haptic'].source}); force is never delayed"
 )
 _SKEWS = {

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "action <add|list|events|trend>  add: keep reports; list: the sessions; events: how often "
         "each came; trend: a figure over all sessions",
         "what REPORT.json or KEY <...>  of add: reports of sessions; of trend: keys of "
-        "docs/report.md, such as streams.uplink_video.frames_shown, * for any letters",
+        "docs/report.md, such as streams.uplink_video.frames_displayed, * for any letters",
         "--plot FILE.png <Path>  draw the trend, too",
     )
 

@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 
-from kontur_av.errors import ConfigError, one_of
+from kontur_av.errors import one_of
 from pipelines.commands.common import acting_on
 from pipelines.hand.hand_topics import ARM_SOCKET, AUTHORITIES, AuthorityAnswer, AuthorityRequest
 from pipelines.session.option_rows import add_options
@@ -15,9 +15,8 @@ from telepresence.haptics.authority import Authority
 #: How long a hand-over may take: the robot comes to rest first.
 _TIMEOUT_S = 5.0
 _LOOK_S = 0.1
-_MISSING = (
-    "no session here lets a partner drive the robot: "
-    'give its setup partner_arm = "shared" (docs/rtc.md)'
+_LACKS = (
+    'and no partner may drive its robot: give its setup partner_arm = "shared" (docs/webrtc.md)'
 )
 
 
@@ -33,9 +32,7 @@ def run(args: argparse.Namespace) -> int:
     """0 once the wanted one drives; 1 without an answer, or if the robot does not rest."""
     args.authority = current(args.authority or "", DRIVERS)
     running = running_sessions(ARM_SOCKET)
-    if not running:
-        raise ConfigError(_MISSING)
-    session = acting_on(args.session, running, moves=bool(args.authority))
+    session = acting_on(args.session, running, moves=bool(args.authority), lacks=_LACKS)
     wanted = AuthorityRequest()
     if args.authority:
         wanted = AuthorityRequest(Authority(one_of(args.authority, AUTHORITIES, "authority")))

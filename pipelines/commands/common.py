@@ -4,8 +4,11 @@ import sys
 from collections.abc import Sequence
 
 from kontur_av.errors import ConfigError
-from kontur_av.topics.session_files import choose_session
+from kontur_av.topics.session_files import choose_session, fitting
+from pipelines.mission.tmtc_socket import tmtc_socket_name
+from pipelines.session.requests import running_sessions
 from pipelines.session.sessions import launched_sessions, started_here
+from pipelines.session.setup.segments import Segment
 from telepresence.haptics.udp_line import unprotected
 
 
@@ -24,13 +27,18 @@ def say_unprotected(*specs: str) -> None:
         print(f"kontur-av: {line}", file=sys.stderr)
 
 
-def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) -> str:
+def acting_on(
+    name: str | None, running: Sequence[str], *, moves: bool = False, lacks: str = ""
+) -> str:
     """Return the session of `running` that `name` means, and print it on standard error.
 
     Without a name it is the only one, or the only one that was started in this terminal.
     moves: the robot may move, stop or lose its power. Then another terminal's session must be
-    named while others run. Errors: see `choose_session`.
+    named while others run. lacks: what others that run do not have, and how they get it.
+    Errors: see `choose_session`.
     """
+    if lacks and not fitting(name, running) and (others := fitting(name, launched_sessions())):
+        raise ConfigError(f"{', '.join(others)} {'run' if len(others) > 1 else 'runs'} {lacks}")
     own = [session for session in running if started_here(session)]
     if name is None and len(own) == 1:
         return _said(own[0])
@@ -42,6 +50,26 @@ def acting_on(name: str | None, running: Sequence[str], *, moves: bool = False) 
             f"name it with --session {chosen}"
         )
     return _said(chosen)
+
+
+def sending_end(
+    name: str | None, end: Segment, sender: str | None, *, moves: bool = False
+) -> tuple[str, Segment]:
+    """Return the session that sends a telecommand, and its end that does.
+
+    end: of the application. sender: the end that is to send; None: the one across the radio if it
+    runs here, else the application's own. Otherwise as `acting_on`.
+    """
+    origins = (end.peer, end) if sender is None else (Segment(sender),)
+    running: list[str] = []
+    for origin in origins:
+        running = running_sessions(tmtc_socket_name(origin))
+        if fitting(name, running):
+            break
+    lacks = "here and takes no telecommands now: it begins or ends"
+    if sender is not None:
+        lacks = f"here without its end {sender}: leave --from out"
+    return acting_on(name, running, moves=moves, lacks=lacks), origin
 
 
 def _said(session: str) -> str:

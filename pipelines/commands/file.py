@@ -6,6 +6,7 @@ import time
 from contextlib import suppress
 
 from kontur_av.errors import ConfigError
+from kontur_av.topics.session_files import fitting
 from pipelines.commands.common import acting_on
 from pipelines.session.option_rows import add_actions, add_options
 from pipelines.session.requests import ask, running_sessions
@@ -25,7 +26,7 @@ from telepresence.files.entity import DONE, FAILED
 _LOOK_S, _PUBLISH_S = 0.2, 2.0
 #: A transfer under way is given up this long after the last answer: a full machine may be slow.
 _SILENT_S = 30.0
-_MISSING = "no session here carries files: start it with kontur-av stream --files DIR"
+_LACKS = "without files, or without that end: start it with --files DIR"
 _AS = "second AS <?>  default: the same name"
 _HELP = {
     "put": ("send a file of this end's directory to the other end", "first NAME", _AS),
@@ -59,9 +60,10 @@ def run(args: argparse.Namespace) -> int:
     sender: str | None = vars(args)["from"]
     segments = tuple(Segment) if sender is None else (Segment(sender),)
     for segment in sorted(segments, key=lambda one: one is not Segment.GROUND):
-        if running := running_sessions(socket_name(segment)):
-            return _follow(request, segment, acting_on(args.session, running))
-    raise ConfigError(_MISSING)
+        running = running_sessions(socket_name(segment))
+        if fitting(args.session, running):
+            break
+    return _follow(request, segment, acting_on(args.session, running, lacks=_LACKS))
 
 
 def _follow(request: FileRequest, segment: Segment, session: str) -> int:

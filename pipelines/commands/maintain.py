@@ -26,6 +26,8 @@ COMMANDS = (
     *("apploader", "devices", "doctor", "export", "file", "info", "authority", "joystick", "keys"),
     *("recover", "report", "robot", "select", "stop", "task", "tc", "topology", "versions"),
 )
+#: Those of them that act on a session: that of `maintain`, unless the step names another.
+OF_SESSION = ("file", "authority", "select", "stop", "task", "tc")
 _LOOK_S = 0.5
 _KEYS = "Enter: run it, e: change it, s: skip it, q: end"
 
@@ -63,7 +65,9 @@ def run(args: argparse.Namespace) -> int:
         if running or args.session:
             name = acting_on(args.session, running, moves=True)
             watch = stack.enter_context(SessionWatch(name))
-        runner = SequenceRunner(sequence, log, command=own_command(), say=say, watch=watch)
+        runner = SequenceRunner(
+            sequence, log, command=own_command(), say=say, watch=watch, of_session=OF_SESSION
+        )
         log.write("begin", script=str(args.script), session="" if watch is None else watch.name)
         while (step := sequence.next) is not None:
             contact = runner.look()

@@ -8,12 +8,19 @@ from pathlib import Path
 from kontur_av.errors import ConfigError
 from kontur_av.redaction import shown_spec
 from pipelines.commands.common import acting_on, check_options
-from pipelines.recording.part_files import LEAST_RECORDED_S, check_disk, check_recordable
+from pipelines.recording.part_files import (
+    LEAST_RECORDED_S,
+    check_disk,
+    check_recordable,
+    recorded_cameras,
+)
 from pipelines.session.command_process import stopped_by_signals
 from pipelines.session.option_rows import add_options
 from pipelines.session.options import StreamOptions, add_session_options, stream_options
 from pipelines.session.recording_requests import (
     RECORDER_SOCKET,
+    AskRecording,
+    RecordAnswer,
     RecordingOptions,
     begin_recording,
     hold_recording,
@@ -41,6 +48,7 @@ def options_of(args: StreamOptions, *, held: bool) -> RecordingOptions | None:
     return RecordingOptions(
         file=str(args.record.absolute()),
         link_frames=args.link_frames,
+        cameras=args.record_cameras or "",
         part_s=args.part_seconds,
         part_mb=args.part_mb,
         command=shlex.join(["kontur-av", *map(shown_spec, sys.argv[1:])]),
@@ -54,13 +62,22 @@ def checked_options(args: StreamOptions, setup: Setup) -> RecordingOptions | Non
     if options is not None:
         path = Path(options.file)
         check_recordable(path, overwrite=args.overwrite, sources=setup.sources.values())
-        check_disk(path, setup, args.seconds or LEAST_RECORDED_S)
+        cameras = recorded_cameras(path, setup, options.cameras)
+        check_disk(path, cameras, args.seconds or LEAST_RECORDED_S)
     return options
+
+
+def recording_line(options: RecordingOptions, setup: Setup) -> str:
+    """What is recorded where, and what it needs."""
+    path = Path(options.file)
+    return f"recording to {path}: {recorded_cameras(path, setup, options.cameras).words}"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "record FILE.mcap <Path>  what to write", "--session", "--seconds")
-    add_session_options(parser, "overwrite", "link_frames", "part_seconds", "part_mb")
+    add_session_options(
+        parser, "overwrite", "link_frames", "record_cameras", "part_seconds", "part_mb"
+    )
     parser.description = (
         "Record a running session until Ctrl-C, or until it ends. The session goes on. "
         "Exit code 1 if messages were lost."
@@ -76,7 +93,8 @@ def run(args: argparse.Namespace) -> int:
     session = acting_on(args.session, running_sessions(RECORDER_SOCKET))
     with stopped_by_signals() as ended:
         link = begin_recording(session, options, overwrite=args.overwrite)
-        print(f"session {session} is recorded to {options.file}", flush=True)
+        cameras = link.ask(AskRecording(), RecordAnswer).cameras
+        print(f"session {session} is recorded to {options.file}; {cameras}", flush=True)
         answer = hold_recording(link, session, options, ended, args.seconds)
     if answer is None:
         print(f"the session has ended; {options.file} is closed")

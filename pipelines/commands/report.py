@@ -1,6 +1,7 @@
 """`kontur-av report`: an account of a session, or one report of a session on two machines."""
 
 import argparse
+import json
 from pathlib import Path
 
 import msgspec
@@ -10,6 +11,7 @@ from pipelines.report.account import account_of
 from pipelines.report.join import join_reports
 from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.report.report_file import WordsConsole, write_text
+from pipelines.report.schema import schema_of
 from pipelines.report.summary import print_summary
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
@@ -24,16 +26,22 @@ _MOST_OCTETS = 1 << 30
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
-        "report FILE.json  the report of a session, whose summary is shown; or the word join",
+        "report FILE.json <?>  the report of a session, whose summary is shown; or the word join",
         "ends GROUND.json SPACE.json <...>  after join, the reports of `stream --end ground` and "
         "`--end space`; their joined report goes to standard output",
         "--html  write FILE.html beside the report: what fell short, what happened, latency, "
         "rates, skew, force",
+        "--schema  print the JSON Schema of the report of a session",
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 with the summary, the account, or the joined report on standard output."""
+    """0 with the summary, the account, the joined report or the schema on standard output."""
+    if args.schema:
+        print_data(json.dumps(schema_of(SessionReport), indent=2) + "\n")
+        return 0
+    if args.report is None:
+        raise ConfigError("name the report of a session, or give --schema")
     if args.report == "join":
         if len(args.ends) != 2 or args.html:
             raise ConfigError("write: kontur-av report join GROUND.json SPACE.json > REPORT.json")

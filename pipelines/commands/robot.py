@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         return _serve(args, axes or ())
     if axes is not None:
         # Before it has power, if its facts are known then.
-        check_robot(args.robot, axes)
+        check_robot(args.robot, axes, felt=False)
     device = load_robot(args.robot, axes or ())
     if isinstance(device, Robot):
         raise ConfigError(f"robot {args.robot} has no driver to check: write module:Class or udp:")

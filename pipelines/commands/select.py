@@ -4,13 +4,11 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import sending_end
 from pipelines.mission.choosing import CAMERA, FOCUS, SELECT
 from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
-from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.option_rows import add_options
-from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
 
 
@@ -38,8 +36,8 @@ def run(args: argparse.Namespace) -> int:
     if not steps:
         raise ConfigError("nothing to select: give CAMERA, or --focus X,Y,W,H")
     try:
-        running = running_sessions(tmtc_socket_name(Segment.SPACE))
-        with JoinedSession(acting_on(args.session, running)) as session:
+        name, _ = sending_end(args.session, Segment.GROUND, None)
+        with JoinedSession(name) as session:
             for done, function, argument in steps:
                 end = session.command(CAMERA, function, argument)
                 if not end.ok:

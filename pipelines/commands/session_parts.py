@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from pathlib import Path
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from kontur_av.hosts import split_address
 from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
 from pipelines.hand.safety_ends import within
 from pipelines.link.own_ends import PeerPlan, chosen_end
 from pipelines.mission.mission import TaskOptions
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
 from pipelines.session.setup.segments import Segment
@@ -25,8 +27,10 @@ from telepresence.haptics.specs import (
     check_robot,
     is_simulated,
 )
+from telepresence.tasks.cosmonaut import Skill
 from telepresence.tasks.task_files import load_plan, load_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.routes import Route, read_routes
 from telepresence.tmtc.telemetry_source import Component, load_components
 
 
@@ -69,6 +73,16 @@ def checked_components(
     return load_components(args.telemetry, built_in_dictionary())
 
 
+def load_routes(path: Path | None) -> tuple[Route, ...]:
+    """Return the routes of a file; none without one. ConfigError, with its line."""
+    if path is None:
+        return ()
+    with refused(f"cannot read routes {path}"):
+        octets = path.read_bytes()
+    with refused(f"routes {path}", ConfigError):
+        return read_routes(octets)
+
+
 def asked_topology(
     args: StreamOptions, plan: Topology, components: tuple[Component, ...], *, tasks: bool
 ) -> Topology:
@@ -80,7 +94,11 @@ def asked_topology(
     }
     pages = args.page is not False
     asked |= {"pages": pages, "recorder": True, "tasks": tasks, "components": components}
-    return topology_of(plan.setup, segments=plan.segments, **asked)
+    asked["routes"] = load_routes(args.routes)
+    topology = topology_of(plan.setup, segments=plan.segments, **asked)
+    with refused(f"routes {args.routes}", ConfigError):
+        session_dictionary(built_in_dictionary(), topology)
+    return topology
 
 
 def task_options(
@@ -103,7 +121,10 @@ def task_options(
     else:
         plan, catalogue = load_plan(args.plan)
         plan.check(catalogue, setup.cameras, setup.name, two_hands=two_hands)
-    simulated = plan is not None and is_simulated(args.joystick)
+    simulated = is_simulated(args.joystick)
+    if plan is None and (len(segments) == 1 or args.leds is not None):
+        # Its eyes need both; people do without it.
+        simulated = False
     if simulated and len(segments) == 1:
         raise ConfigError(
             "a simulated cosmonaut sees the LED panel on one machine only: leave --end out, or "
@@ -137,8 +158,10 @@ def task_arguments(options: TaskOptions | None) -> Mapping[str, Mapping[str, obj
         TASKS: {"options": options},
         PAGES[Segment.SPACE]: {"tasks": options.catalogue},
     }
-    if options.simulated and options.plan is not None:
-        arguments[JOYSTICK] = {"skill": options.plan.skill}
+    if options.simulated:
+        plan = options.plan
+        skill = Skill().level if plan is None else plan.skill
+        arguments[JOYSTICK] = {"skill": skill, "taps": plan is None}
     return arguments
 
 

@@ -128,7 +128,7 @@ def add_virtual_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "--select T=CAMERA <*>  the operator selects CAMERA at second T; repeatable",
         "--plan PLAN.toml <Path>  tasks that a simulated cosmonaut does, one after the other "
-        "(docs/tasks.md)",
+        "(docs/ground-control.md)",
         "--robot SPEC  sim, or a simulated robot of your own: module:Class (default: sim)",
         "--joystick SPEC  sim, sim:FAULT or your own simulated one, with calibration, states and "
         "faults; without, always in the application",

@@ -10,7 +10,7 @@ from kontur_av.topics.session_files import choose_session
 from pipelines.commands.common import acting_on
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.option_rows import add_options
-from pipelines.session.sessions import launched_sessions
+from pipelines.session.sessions import advised, launched_sessions
 from pipelines.session.setup.segments import Segment
 
 
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
             failed = error
     for session in stopped:
         by = KeptOrders(session).stopped_by or "somebody"
-        print(f"{session}: emergency stop by {by}; `kontur-av stop --release` ends it")
+        print(f"{session}: emergency stop by {by}; {advised('stop --release', session)} ends it")
     # Only now, because loading it takes a while.
     from pipelines.hand.safety_ends import await_stopped
 
@@ -76,7 +76,7 @@ def _release(session: str) -> int:
     if here == [Segment.SPACE]:
         # The robot is across the radio, and answers there.
         print(f"{session}: this end {'releases its stop' if held else 'has ordered no stop'}")
-        words = {"application": "robot", "words": ["release_stop"], "origin": "space"}
+        words = {"application": "robot", "words": ["release_stop"], "from": "space"}
         return tc.run(argparse.Namespace(**words, session=session, xtce=False))
     if not held:
         print(f"{session}: no emergency stop holds")
@@ -86,6 +86,6 @@ def _release(session: str) -> int:
         return 1
     print(
         f"{session}: released the emergency stop by {by or 'somebody'}; switch the robot on "
-        "(`kontur-av tc robot power_on`), then press the dead-man button anew"
+        f"({advised('tc robot power_on', session)}), then press the dead-man button anew"
     )
     return 0

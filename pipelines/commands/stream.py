@@ -8,7 +8,7 @@ from pathlib import Path
 from kontur_av.clock import MonotonicClock
 from pipelines.commands.common import check_options
 from pipelines.commands.live_session import end_session, made_directory, with_status
-from pipelines.commands.record import checked_options
+from pipelines.commands.record import checked_options, recording_line
 from pipelines.commands.session_parts import (
     asked_topology,
     checked_components,
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `kontur-av stream`."""
     add_options(
         parser,
-        "site FILE.toml <Path?>  a site file: any of the options below (docs/setups.md)",
+        "site FILE.toml <Path?>  a site file: any of the options below (docs/setup-file.md)",
         "--explain  print what the session would run with, and where each value comes from",
     )
     add_grouped_options(parser)
@@ -104,6 +104,8 @@ def _run(site: SiteOptions, *, dry: bool) -> int:
         if recording is not None:
             clear_parts(Path(recording.file))
             write_request(session, recording)
+            if not args.quiet:
+                say(recording_line(recording, setup))
         launcher = Launcher(
             session=session,
             topology=topology,

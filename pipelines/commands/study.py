@@ -2,6 +2,7 @@
 
 import argparse
 import asyncio
+from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,8 +18,10 @@ from pipelines.session.served_pages import bound_server, served
 from pipelines.study.effects import HEADINGS, effect_words, study_report, summary_of
 from pipelines.study.plan import StudyPlan
 from pipelines.study.running import StudyFolder, StudyServer, check_scipy, load_study, write_tables
-from pipelines.study.trials import StudyTrials, simulate_person
+from pipelines.study.trials import StudyTrials, check_handle, simulate_person
+from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.page import PageDevice
+from telepresence.haptics.specs import PAGE, open_alone
 
 _PAGE = "study"
 
@@ -33,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report  show the effects, and write them as HTML, CSV and a MATLAB file beside the "
         "trials",
         "--results DIR <Path>  the folder of the trials (default PLAN.results, or PLAN.simulated)",
+        f"--joystick SPEC <={PAGE}>  the handle: page, or one with motors, as `stream` takes it: "
+        "udp:HOST:PORT[:KEYFILE] or your own module:Class; where it rests is its middle",
         "--page [HOST:]PORT  where the page is served (default 127.0.0.1:8270, or the next free "
         "port)",
     )
@@ -59,7 +64,8 @@ def run(args: argparse.Namespace) -> int:
                     trials.add(result)
                 say(f"participant {participant} of {simulated} has finished")
         elif not args.report:
-            asyncio.run(_serve(args, plan, trials))
+            with closing(_handle(args.joystick, plan)) as device:
+                asyncio.run(_serve(args, plan, trials, device))
             return 0
         _report(folder, plan, trials)
     return 0
@@ -78,11 +84,27 @@ def _report(folder: Path, plan: StudyPlan, trials: StudyFolder) -> None:
         say(str(path))
 
 
-async def _serve(args: argparse.Namespace, plan: StudyPlan, trials: StudyFolder) -> None:
+def _handle(spec: str, plan: StudyPlan) -> JoystickDevice:
+    """Open the handle of a study; ConfigError for one that cannot be."""
+    if spec == PAGE:
+        return PageDevice(start_m=(0.0, 0.0))
+    device = open_alone(spec, axes=None)
+    try:
+        check_handle(plan, device)
+    except ConfigError:
+        device.close()
+        raise
+    reading = device.read()
+    device.set_zero(reading.x_m, reading.y_m)
+    return device
+
+
+async def _serve(
+    args: argparse.Namespace, plan: StudyPlan, trials: StudyFolder, device: JoystickDevice
+) -> None:
     options = bound_server(args.page, _PAGE)
     with TemporaryDirectory() as place, served(options, Path(place), "page") as (found, made):
         listener = found[_PAGE]
-        device = PageDevice(start_m=(0.0, 0.0))
         service = StudyTrials(plan, device, trials.finished)
         server = StudyServer(service, device, listener, trials.add)
         say(f"{listener.url(_PAGE)}\nCtrl-C ends it; it goes on where it was")

@@ -43,9 +43,8 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError("task select: name the task; `kontur-av task list` lists them")
         raise ConfigError(f"task {args.action} takes no name")
     running = running_sessions(tmtc_socket_name(Segment.GROUND))
-    if not running:
-        raise ConfigError("no session's ground end runs here: start kontur-av stream --tasks")
-    session = acting_on(args.session, running, moves=args.action != "list")
+    lacks = "here without its ground end, which has the tasks: ask on the ground's machine"
+    session = acting_on(args.session, running, moves=args.action != "list", lacks=lacks)
     with TopicBus.join(session) as bus:
         shown = _shown(bus, session)
         if args.action == "list":

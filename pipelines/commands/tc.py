@@ -4,9 +4,8 @@ import argparse
 import sys
 from random import SystemRandom
 
-from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, sending_end
 from pipelines.mission.tmtc_messages import (
     SHORT_VERBS,
     Reported,
@@ -14,7 +13,7 @@ from pipelines.mission.tmtc_messages import (
     report_words,
     update_words,
 )
-from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary, tmtc_socket_name
+from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary
 from pipelines.session.command_process import print_data
 from pipelines.session.option_rows import add_options
 from pipelines.session.requests import running_sessions
@@ -52,24 +51,14 @@ def run(args: argparse.Namespace) -> int:
     # Users' components are on the ground.
     ends = {one.name: one.end for one in built_in.applications}
     end = Segment(ends.get(args.application, Segment.GROUND.value))
-    sender: str | None = vars(args)["from"]
-    origin = Segment(sender) if sender else end.peer
-    running = running_sessions(tmtc_socket_name(origin))
-    if not running and sender is None:
-        # On a machine of its own, this end sends it to its own application.
-        origin = end
-        running = running_sessions(tmtc_socket_name(origin))
-    session = acting_on(args.session, running, moves=True) if running else None
-    dictionary = built_in if session is None else read_dictionary(session)
-    application = dictionary.application(args.application)
+    if not running_sessions(*TMTC_SOCKETS):
+        # The mistake in the words, before that no session runs.
+        command_from_words(built_in.application(args.application), args.words, client="", number=0)
+    session, origin = sending_end(args.session, end, vars(args)["from"], moves=True)
+    application = read_dictionary(session).application(args.application)
     request = command_from_words(
         application, args.words, client=_CLIENT, number=SystemRandom().getrandbits(48)
     )
-    if session is None:
-        raise ConfigError(
-            f"no session with its end {sender or end.peer.value} runs here: "
-            "start one with kontur-av stream"
-        )
     with TopicBus.join(session) as bus:
         return follow(Sending(session, origin, request, bus), application)
 

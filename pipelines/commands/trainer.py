@@ -4,7 +4,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from kontur_av.errors import ConfigError
 from pipelines.commands.common import acting_on
 from pipelines.session.option_rows import add_actions
 from pipelines.session.requests import ask, running_sessions
@@ -18,10 +17,7 @@ from pipelines.session.training import (
     TrainerRequest,
 )
 
-_MISSING = (
-    "no session here has a trainer: start it with --trainer, "
-    "as `kontur-av stream --setup spacejustin --end space --trainer`"
-)
+_LACKS = "without a trainer: start it with --trainer"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,9 +42,7 @@ def run(args: argparse.Namespace) -> int:
         camera=current(getattr(args, "camera", ""), INPUTS),
     )
     running = running_sessions(TRAINER_SOCKET)
-    if not running:
-        raise ConfigError(_MISSING)
-    session = acting_on(args.session, running, moves=True)
+    session = acting_on(args.session, running, moves=True, lacks=_LACKS)
     try:
         print(ask(session, TRAINER_SOCKET, request, TrainerAnswer).text)
     except OSError as error:

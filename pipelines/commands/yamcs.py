@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from kontur_av.errors import ConfigError, refused
+from pipelines.commands.session_parts import load_routes
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.packets.process_packets import DEFAULT_PACKETS, parse_frames, parse_packets
 from pipelines.packets.yamcs import instance_files
@@ -34,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"--end <{'|'.join(segment.value for segment in Segment)}={Segment.GROUND.value}>  the "
         "session's end that it is joined to (default: ground)",
         "--telemetry SPEC <*>  as of `stream`",
+        "--routes FILE.xml <Path>  as of `stream`",
         f"--http-port PORT <port={_HTTP_PORT}>  of YAMCS",
     )
 
@@ -42,7 +44,9 @@ def run(args: argparse.Namespace) -> int:
     options, frames = parse_packets(args.packets), parse_frames(args.frames)
     known = built_in_dictionary()
     components = load_components(args.telemetry, known)
-    topology = topology_of(load_setup(args.setup), components=components)
+    topology = topology_of(
+        load_setup(args.setup), components=components, routes=load_routes(args.routes)
+    )
     dictionary = session_dictionary(known, topology)
     files = instance_files(
         dictionary_xtce(dictionary, args.end),
@@ -58,5 +62,5 @@ def run(args: argparse.Namespace) -> int:
         for name, text in files.items():
             (directory / name).parent.mkdir(parents=True, exist_ok=True)
             (directory / name).write_text(text, encoding="utf-8")
-    print_data(f"{directory} is written. In it start org.yamcs.YamcsServer: docs/yamcs.md\n")
+    print_data(f"{directory} is written. In it start org.yamcs.YamcsServer: docs/telemetry.md\n")
     return 0

@@ -12,8 +12,17 @@ from socket import socket
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
+from kontur_av.topics.bus import TopicBus
 from pipelines.files.file_requests import ENTITIES, FileRequests
+from pipelines.files.joystick_log import (
+    KEPT_FILES,
+    LOG_FOLDER,
+    MOST_OCTETS,
+    JoystickLog,
+    log_name,
+)
 from pipelines.files.service_sockets import ServiceSockets, ServicesPlan
+from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from pipelines.session.datagrams import receive
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.requests import RequestServer
@@ -143,11 +152,43 @@ def _words(error: Exception) -> str:
     return (getattr(error, "strerror", None) or "not possible").lower()
 
 
+class _JoystickLogs:
+    """Writes the joystick's log into the directory of space, where files are fetched from.
+
+    A disk that is full or gone leaves lines out; the joystick does not wait for it.
+    """
+
+    def __init__(self, root: Path, bus: TopicBus) -> None:
+        self._folder = root / LOG_FOLDER
+        self._log, self._path = JoystickLog(), self._folder
+        self._states = TopicReader(bus, JOYSTICK_STATE_TOPIC, depth=_STATES)
+        self._octets = MOST_OCTETS
+
+    def follow(self, unix_ns: int) -> None:
+        """Write what has changed."""
+        while (status := self._states.next()) is not None:
+            lines = "".join(self._log.handle_status(status, unix_ns)).encode()
+            if lines:
+                with suppress(OSError):
+                    self._append(lines, unix_ns)
+
+    def _append(self, lines: bytes, unix_ns: int) -> None:
+        if self._octets + len(lines) > MOST_OCTETS:
+            self._folder.mkdir(exist_ok=True)
+            for old in sorted(self._folder.glob("joystick-*.txt"))[: 1 - KEPT_FILES]:
+                old.unlink(missing_ok=True)
+            self._path, self._octets = self._folder / log_name(unix_ns), 0
+        with self._path.open("ab") as file:
+            self._octets += file.write(lines)
+
+
 #: How often the state of the link is looked at while something is to be sent.
 _LOOK_NS = 10 * NS_PER_MS
 #: Numbers of transactions count such units of Unix time, so that no later life has the same.
 _NUMBER_NS = NS_PER_S // 10
 _NO_SERVICES = ServicesPlan()
+#: Unread states of the joystick that are kept.
+_STATES = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,9 +242,12 @@ def run_files(
         RequestServer(context, socket_name(segment), FileRequest, answer) as server,
     ):
         link = TopicReader(bus, topology.link(segment.transmits).backlog_topic)
+        logs = _JoystickLogs(plan.directory, bus) if segment is Segment.SPACE else None
         while not context.stopping:
             now_ns = clock.now_ns()
             context.tick(now_ns)
+            if logs is not None:
+                logs.follow(now_ns + clock.wall_offset_ns)
             link.latest()
             if (state := link.newest) is not None:
                 heard, waiting = state.peer_heard, state.maintenance_octets

@@ -44,6 +44,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_text import setup_table
 from pipelines.session.topology.table import Topology
 from pipelines.session.topology.topics import TASKS
+from telepresence.tmtc.pus.dictionary import Dictionary
 
 _WHO: Final = "foxglove"
 _SELECT_TASK = "/task/select"
@@ -155,18 +156,24 @@ class Bridge:
 
     Read the topics of `wanted`. Call `handle_time` often.
 
-    session: its name. wall_offset_ns: wall time less the session's clock. boot_id: new at each
-    start of the process.
+    dictionary: names what packets say. session: its name. wall_offset_ns: wall time less the
+    session's clock. boot_id: new at each start of the process.
     """
 
     def __init__(
-        self, topology: Topology, session: str, *, wall_offset_ns: int, boot_id: int
+        self,
+        topology: Topology,
+        dictionary: Dictionary,
+        session: str,
+        *,
+        wall_offset_ns: int,
+        boot_id: int,
     ) -> None:
         self._session = session
         self._rows = {row.number: row.topic for row in live_channels(topology)}
         self._advertised = protocol.advertise(live_channels(topology))
         self._sources = sources_of(topology)
-        self._messages = SessionMessages(wall_offset_ns)
+        self._messages = SessionMessages(wall_offset_ns, dictionary)
         self._numbers = SampleNumbers()
         self._clients: dict[int, Client] = {}
         self._client_numbers = count(1)

@@ -15,6 +15,7 @@ from kontur_av.topics.bus import Lease, Reader, TopicBus
 from pipelines.foxglove.bridge import Bridge
 from pipelines.foxglove.protocol import MOST_CLIENT_OCTETS, SUBPROTOCOLS
 from pipelines.media.following import SELECTED_TOPIC
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.mission.tmtc_messages import TMTC_TOPICS, CommandUpdate
 from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.recording.camera_reader import CameraReader
@@ -29,6 +30,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader
 from pipelines.session.topology.topics import FOXGLOVE
 from pipelines.session.web_site import WebSite
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 #: How often topics are read, and without a client.
 _WAKE_NS, _IDLE_NS = 20 * NS_PER_MS, 50 * NS_PER_MS
@@ -51,6 +53,7 @@ class _FoxgloveServer:
         self._context, self._now_ns, self._bus = context, context.clock.now_ns, bus
         self._bridge = Bridge(
             context.topology,
+            session_dictionary(built_in_dictionary(), context.topology),
             context.session,
             wall_offset_ns=context.clock.wall_offset_ns,
             boot_id=self._now_ns(),
@@ -171,7 +174,7 @@ class _Topics:
         self._sources = [source for source in sources_of(topology) if not source.is_camera]
         self._readers: dict[str, Reader] = {}
         self._cameras = [
-            CameraReader(bus, source, bridge.coder(source))
+            CameraReader(bus, source, bridge.coder(source), context.clock.now_ns())
             for source in sources_of(topology)
             if source.is_camera
         ]

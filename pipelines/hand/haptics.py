@@ -247,6 +247,15 @@ class RobotEnd(_End[RobotSide]):
         return state
 
     def _add_row(self, now_ns: int) -> None:
+        seen = None if self.board is None else self.board.seen(now_ns)
+        if seen is not None:
+            # The trace is of the robot that answers the joystick.
+            flags = flags_of(
+                contact=seen.contact, dead_man=seen.dead_man, acted=False, state=0, lit=None
+            )
+            partner = (now_ns, *seen[:4], 0.0, flags)
+            self.trace.add((*partner, *self._numbers(), *self._axes_row()))
+            return
         side, robot, command = self.side, self.side.robot, self._latest(now_ns)
         flags = flags_of(
             contact=robot.contact,

@@ -338,8 +338,8 @@ class _CosmonautEyes:
             reader.latest()
         picture = self._pictures[0]
         self._pictures.append(DARK if leds.newest is None else leds.newest.picture)
-        if panel.newest is not None:
-            tip_m = (0.0, 0.0) if robot.newest is None else (robot.newest.x_m, robot.newest.y_m)
+        if panel.newest is not None and robot.newest is not None:
+            tip_m = robot.newest.x_m, robot.newest.y_m
             handle_m = self._handle.x_m, self._handle.y_m
             self._cosmonaut.look(_view(panel.newest), picture, tip_m, handle_m)
 
@@ -376,13 +376,15 @@ class PageHand:
             self._device.handle_input(hand, now_ns - hand.received_ns)
 
 
-def run_joystick(context: Context, *, skill: float | None = None) -> None:
+def run_joystick(context: Context, *, skill: float | None = None, taps: bool = False) -> None:
     """Operate the joystick of the session, and put the robot's force on it.
 
     skill: of a simulated cosmonaut, who does tasks with a simulated joystick; None: the hand that
-    taps the targets.
+    taps the targets. taps: the cosmonaut does so, too, until its first task.
     """
-    hand = Hand() if skill is None else Cosmonaut(Skill(level=skill), seed=context.seed)
+    hand = Hand()
+    if skill is not None:
+        hand = Cosmonaut(Skill(level=skill), seed=context.seed, taps=taps)
     topology = context.topology
     device = open_device(topology.options.joystick, hand=hand, axes=context.setup.more_axes)
     with closing(device), context.open_bus() as bus:

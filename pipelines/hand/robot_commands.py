@@ -182,7 +182,15 @@ class RobotCommands:
             partner="none" if self._board is None else self._board.state(now_ns),
             barred=envelope.barred.value,
             blind=envelope.blind,
+            partner_seen=self._partner_seen(now_ns),
         )
+
+    def _partner_seen(self, now_ns: int) -> tuple[float, float, float, bool, int] | None:
+        seen = None if self._board is None else self._board.seen(now_ns)
+        if seen is None:
+            return None
+        force_n = hypot(seen.fx_n, seen.fy_n)
+        return seen.x_m, seen.y_m, force_n, seen.contact, seen.age_ns // NS_PER_MS
 
     def _carry_out(self, command: RobotCommand, now_ns: int) -> str:
         control, envelope = self.control, self._envelope

@@ -1,7 +1,7 @@
 """A user's component between its own methods and the TM/TC end of the ground. A core."""
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -32,6 +32,7 @@ from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.user import EventReport
 from telepresence.tmtc.pus.values import Value
 from telepresence.tmtc.retransmission import Retransmission
+from telepresence.tmtc.routes import Route
 from telepresence.tmtc.telemetry_source import FunctionCall, TelemetryReading, TelemetrySource
 
 #: How often the component is read.
@@ -63,6 +64,7 @@ class ComponentService:
     dropped. At most 8 events or calls come at once, then one a second; the others are dropped.
 
     client: names this start of the component. settings: writable ones, of earlier starts.
+    routes: of the session's telemetry.
     Raises ConfigError if `read` or `set` does, PartError for all else that they raise or return.
     """
 
@@ -74,9 +76,15 @@ class ComponentService:
         now_ns: int,
         client: str,
         settings: Mapping[str, Value],
+        routes: Iterable[Route] = (),
     ) -> None:
         self.settings: Values = {}
         self._source, self._table, self._client = source, table, client
+        #: By application: which of its data come here.
+        self._routed: dict[str, set[str]] = {}
+        for route in routes:
+            if route.to == table.name:
+                self._routed.setdefault(route.source, set()).update(route.data)
         self._due_ns = now_ns
         self._values: deque[SetValues] = deque()
         self._waiting: deque[_Waiting] = deque()
@@ -109,6 +117,8 @@ class ComponentService:
             self._due_ns = now_ns
         elif isinstance(news, Reported) and news.kind == "event":
             self._hear(news, now_ns)
+        elif isinstance(news, Reported) and news.application in self._routed:
+            self._take(news, now_ns)
         elif isinstance(news, CommandUpdate) and news.client == self._client:
             self._actions.pop(news.id)
             if news.done and not news.ok:
@@ -219,6 +229,18 @@ class ComponentService:
         except Exception as error:
             # The user's own code must not end the session's process.
             self._fault(f"after {news.application} {news.name}: {error_words(error)}", now_ns)
+
+    def _take(self, news: Reported, now_ns: int) -> None:
+        wanted = self._routed[news.application]
+        values = {name: value for name, value in news.values.items() if name in wanted}
+        if not values:
+            return
+        try:
+            for call in self._source.handle_data(news.application, values) or ():
+                self._act(call, now_ns)
+        except Exception as error:
+            # The user's own code must not end the session's process.
+            self._fault(f"data of {news.application}: {error_words(error)}", now_ns)
 
     def _act(self, call: FunctionCall, now_ns: int) -> None:
         # Packing raises for what is too long.

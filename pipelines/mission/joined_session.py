@@ -27,7 +27,7 @@ from kontur_av.topics.session_files import choose_session
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, rows_of
 from pipelines.mission.choosing import CAMERA, SELECT
 from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
-from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary
+from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary, tmtc_socket_name
 from pipelines.session.requests import running_sessions
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.topics import displayed_topic, page_topic
@@ -201,7 +201,10 @@ class JoinedSession(Closing):
         known = read_dictionary(self.name).application(application)
         number = SystemRandom().getrandbits(48)
         request = command_from_words(known, words, client=_CLIENT, number=number)
-        origin = Segment(known.end).peer
+        end = Segment(known.end)
+        # On a machine of its own, an end sends it to its own application.
+        across = self.name in running_sessions(tmtc_socket_name(end.peer))
+        origin = end.peer if across else end
         # A bus of its own, because the caller may be a thread.
         with TopicBus.join(self.name) as bus:
             sending = Sending(self.name, origin, request, bus)

@@ -201,7 +201,8 @@ class MissionGround:
             if wanted is not None:
                 self._select(wanted, now_ns)
         if seen.exercise:
-            experiment.abort("a fault of the trainer's exercise", now_ns)
+            # A trainee is not told that it is an exercise.
+            experiment.abort("the robot application has a fault", now_ns)
         robot = seen.robot
         view = View(
             powered=robot.powered,

@@ -9,10 +9,17 @@ from contextlib import suppress
 from dataclasses import asdict
 
 from kontur_av.clock import NS_PER_MS
+from kontur_av.errors import ConfigError
+from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from pipelines.link.link_metrics import CONNECTED, link_state_topic
-from pipelines.mission.tmtc_messages import FunctionAsked
-from pipelines.mission.tmtc_socket import TmtcClient
+from pipelines.mission.tmtc_messages import (
+    TMTC_TOPICS,
+    CommandUpdate,
+    FunctionAsked,
+    SendCommand,
+)
+from pipelines.mission.tmtc_socket import TmtcClient, send_to_tmtc
 from pipelines.session.datagrams import Address
 from pipelines.session.mission_messages import (
     MISSION_LEDS_TOPIC,
@@ -25,7 +32,7 @@ from pipelines.session.requests import RequestServer
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology.streams import leds_port
-from pipelines.session.topology.topics import PANEL
+from pipelines.session.topology.topics import PANEL, TRAINER
 from pipelines.session.training import (
     TRAINER_SOCKET,
     TRAINER_TOPIC,
@@ -76,6 +83,7 @@ _TICK_NS = 50 * NS_PER_MS
 #: The panel's parameters are told once in this many ticks.
 _PUBLISH_EVERY = 20
 _STATES = 8
+_NEWS = 32
 
 
 def run_panel(context: Context) -> None:
@@ -127,11 +135,61 @@ def run_panel(context: Context) -> None:
             clock.sleep_until_ns(now_ns + _TICK_NS)
 
 
+class _TrainerOfGround:
+    """Joins the trainers of both ends by telecommands: space asks, the ground does.
+
+    end: of this trainer. A telecommand is handed over until the end has it.
+    """
+
+    def __init__(self, context: Context, bus: TopicBus, trainer: Trainer, end: Segment) -> None:
+        first = context.clock.now_ns()
+        self._trainer, self._session, self._end = trainer, context.session, end
+        self._client = f"{TRAINER} {first}"
+        self._tmtc = TmtcClient(bus, context.session, end, TRAINER, first_number=first)
+        self._news = TopicReader(bus, TMTC_TOPICS[end], depth=_NEWS)
+        self._number = 0
+        self._open: dict[int, SendCommand] = {}
+        self._taken: set[int] = set()
+
+    def work(self, now_ns: int) -> None:
+        if self._end is Segment.GROUND:
+            for asked in self._tmtc.work(now_ns):
+                if isinstance(asked, FunctionAsked):
+                    self._tmtc.answer(asked, self._done(asked, now_ns))
+            return
+        while (call := self._trainer.next_asked()) is not None:
+            self._number += 1
+            self._open[self._number] = SendCommand(
+                self._client, self._number, TRAINER, "call", *call
+            )
+        while (news := self._news.next()) is not None:
+            if isinstance(news, CommandUpdate) and news.client == self._client:
+                self._taken.add(news.id)
+                if news.done and (command := self._open.pop(news.id, None)) is not None:
+                    refusal = "" if news.ok else news.reason or "no answer"
+                    self._trainer.handle_answered(command.name, refusal, now_ns)
+        for number, command in self._open.items():
+            if number not in self._taken:
+                send_to_tmtc(self._session, self._end, command)
+
+    def _done(self, asked: FunctionAsked, now_ns: int) -> str:
+        seconds = float(asked.arguments[0]) if asked.arguments else 0.0
+        exercise = asked.function.replace("_", "-")
+        try:
+            request = TrainerRequest(exercise=exercise, seconds=seconds)
+            self._trainer.handle_request(request, now_ns)
+        except ConfigError as error:
+            return str(error)
+        return ""
+
+
 def run_trainer(context: Context) -> None:
     """Take requests, and publish what lasts."""
     now_ns = context.clock.now_ns
     trainer = Trainer(context.probe, TrainerReach.of(context.topology))
     context.on_flush(trainer.publish)
+    topology = context.topology
+    end = Segment.SPACE if topology.alone is Segment.SPACE else Segment.GROUND
     with (
         context.open_bus() as bus,
         RequestServer(
@@ -142,8 +200,10 @@ def run_trainer(context: Context) -> None:
         ) as server,
     ):
         writer = TopicWriter(bus, TRAINER_TOPIC)
+        ground = _TrainerOfGround(context, bus, trainer, end)
         while not context.stopping:
             context.tick(now_ns())
             server.serve(TIMEOUT_NS)
+            ground.work(now_ns())
             if (exercises := trainer.poll_exercises(now_ns())) is not None:
                 writer.publish(exercises, now_ns())

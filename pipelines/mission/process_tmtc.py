@@ -259,7 +259,14 @@ def run_component(context: Context, component: Component) -> None:
         reader = TopicReader(bus, TMTC_TOPICS[Segment.GROUND], depth=_DEPTH)
         now_ns = clock.now_ns()
         client = f"{table.name} {now_ns}"
-        service = ComponentService(source, table, now_ns=now_ns, client=client, settings=known)
+        service = ComponentService(
+            source,
+            table,
+            now_ns=now_ns,
+            client=client,
+            settings=known,
+            routes=context.topology.options.routes,
+        )
         context.on_flush(lambda: service.publish(context.probe))
         waiter = bus.waiter([reader.open()])
         while not context.stopping:

@@ -132,6 +132,9 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             segment=None,
             stage=Stage.LINK,
             run="pipelines.mission.process_panel:run_trainer",
+            reads=(
+                TMTC_TOPICS[Segment.SPACE if session.alone is Segment.SPACE else Segment.GROUND],
+            ),
             writes=(TRAINER_TOPIC,),
             what="takes a trainer's requests: no signal, faults, failed tasks, a lost camera",
         ),

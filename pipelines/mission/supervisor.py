@@ -30,6 +30,7 @@ from telepresence.tmtc.pus.dictionary import (
 )
 from telepresence.tmtc.pus.packets import MAX_REPORT_OCTETS
 from telepresence.tmtc.pus.values import Parameter
+from telepresence.tmtc.routes import with_routes
 from telepresence.tmtc.telemetry_source import FRESH_S, with_components
 
 START, STOP, PROCESS = "start", "stop", "process"
@@ -316,7 +317,10 @@ def _with_axes(dictionary: Dictionary, axes: Sequence[AxisName]) -> Dictionary:
 def session_dictionary(dictionary: Dictionary, topology: Topology) -> Dictionary:
     """Return `dictionary` with a session's cameras, axes, components and processes; ConfigError."""
     dictionary = _with_axes(dictionary, topology.setup.more_axes)
-    known = supervised(with_components(dictionary, topology.options.components), topology)
+    options = topology.options
+    known = with_components(dictionary, options.components)
+    names = [one.application.name for one in options.components]
+    known = supervised(with_routes(known, options.routes, names), topology)
     return Dictionary(
         applications=tuple(
             replace(

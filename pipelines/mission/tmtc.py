@@ -1,6 +1,7 @@
 """One end of telecommands and telemetry after PUS: its applications, its user and its K2ACI."""
 
 from collections import OrderedDict, deque
+from collections.abc import Iterable
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
@@ -47,6 +48,7 @@ from telepresence.tmtc.pus.user import (
 )
 from telepresence.tmtc.pus.verification import VerificationStage
 from telepresence.tmtc.pus.xtce_commands import FOREIGN_SOURCES
+from telepresence.tmtc.routes import PERIOD_S, TO_GROUND, Route
 
 #: What PUS may take of its direction of the link: half of what the level TMTC may.
 PUS_RATE_BPS = 4_000
@@ -76,6 +78,7 @@ class TmtcEnd:
     beyond that the oldest are dropped and counted.
 
     epoch_ns: Unix time minus this clock. delay_ns: the longest delay of the radio, one way.
+    routes: those to components are told as `Reported` of the kind "data".
     first_count, boot_id: new at each start, as `PusUser` and `K2aciEndpoint` have them.
     """
 
@@ -89,7 +92,15 @@ class TmtcEnd:
         boot_id: int,
         epoch_ns: int = 0,
         delay_ns: int = 0,
+        routes: Iterable[Route] = (),
     ) -> None:
+        self._epoch_ns = epoch_ns
+        #: By application: which of its data go to components, and when they may again.
+        self._routed: dict[str, set[str]] = {}
+        self._routed_ns: dict[str, int] = {}
+        for route in routes:
+            if route.to != TO_GROUND:
+                self._routed.setdefault(route.source, set()).update(route.data)
         tables = [one for one in dictionary.applications if one.end == segment.value]
         self.applications = {
             one.name: PusApplication(one, now_ns=now_ns, epoch_ns=epoch_ns, first_count=first_count)
@@ -161,6 +172,11 @@ class TmtcEnd:
         if unknown := set(values) - known:
             raise ConfigError(f"{application} has no parameter {', '.join(sorted(unknown))}")
         table.handle_values(values, now_ns)
+        wanted = self._routed.get(application)
+        if wanted is not None and now_ns >= self._routed_ns.get(application, now_ns):
+            self._routed_ns[application] = now_ns + round(PERIOD_S * NS_PER_S)
+            data = {name: table.values[name] for name in sorted(wanted & table.values.keys())}
+            self._add(Reported("data", application, now_ns + self._epoch_ns, values=data))
 
     def handle_event(self, application: str, event: str, now_ns: int) -> None:
         """An event happened. ConfigError for what is not in the dictionary."""

@@ -143,7 +143,7 @@ class ParameterChanged(msgspec.Struct, frozen=True, tag=True):
 
 
 class Reported(msgspec.Struct, frozen=True, tag=True):
-    """Telemetry. kind: "housekeeping", "event", "parameters" or "alive".
+    """Telemetry. kind: "housekeeping", "event", "parameters" or "alive"; "data": of a route.
 
     name: the structure or the event. severity: of an event. unix_ns: on the sender's clock.
     """

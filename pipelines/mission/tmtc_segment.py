@@ -50,6 +50,7 @@ class TmtcSegment:
             first_count=first_count,
             boot_id=boot_id,
             epoch_ns=epoch_ns,
+            routes=topology.options.routes,
             delay_ns=topology.setup.radio_profile.longest_delay_ns,
         )
         self._supervisor = ProcessSupervisor(segment, topology)

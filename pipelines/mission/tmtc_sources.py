@@ -136,6 +136,10 @@ class RobotSource:
         if known != self._known or now_ns >= self._known_ns:
             self._known, self._known_ns = known, now_ns + SAMPLE_NS
             values |= _joints(status)
+            if status.partner_seen is not None:
+                x_m, y_m, force_n, contact, age_ms = status.partner_seen
+                values |= {"partner_x": x_m, "partner_y": y_m, "partner_force": force_n}
+                values |= {"partner_contact": contact, "partner_age": age_ms}
             for name, place, force in status.axes:
                 values |= {name: place, f"{name}_force": force}
             self._end.handle_values("robot", values, now_ns)

@@ -167,7 +167,7 @@ class SamplePeer:
 
 
 class SamplePorts:
-    """Between one partner's data channel and the robot's ports of `docs/rtc.md`.
+    """Between one partner's data channel and the robot's ports of `docs/webrtc.md`.
 
     The port of the robot's samples is taken while a partner is there, so a joystick on this machine
     can have it otherwise.

@@ -3,7 +3,7 @@
 | request | for |
 |---|---|
 | POST /whip | the partner's picture and voice (RFC 9725) |
-| POST /whep/NAME | to watch a programme (draft-ietf-request-whep) |
+| POST /whep/NAME | to watch a programme (draft-ietf-wish-whep) |
 | POST /haptics | to steer, with a token of its own: a data channel for haptic samples |
 | PATCH, DELETE /session/ID | to add addresses, to restart ICE, to end |
 | GET /rtc?token=… | a page that does all of it |

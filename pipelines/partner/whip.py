@@ -1,4 +1,4 @@
-"""WHIP (RFC 9725) and WHEP (draft-ietf-request-whep) towards a media server. A shell.
+"""WHIP (RFC 9725) and WHEP (draft-ietf-wish-whep) towards a media server. A shell.
 
 Both are one exchange of HTTP: an offer is posted, the answer comes back with the address of the
 session, at which ICE is restarted and the session is deleted. `Keeper` keeps one connection, and

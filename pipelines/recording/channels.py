@@ -25,6 +25,7 @@ from pipelines.recording.recorded_messages import (
     LOG,
     LOSSES,
     METRICS,
+    MISSION_PANEL,
     SCHEMAS,
     SPACE_PACKET,
     TRANSFER_FRAMES,
@@ -35,8 +36,10 @@ from pipelines.recording.schemas import MessageSchema, descriptor_set
 from pipelines.session.mission_messages import (
     MISSION_GROUND_TOPIC,
     MISSION_LEDS_TOPIC,
+    MISSION_PANEL_TOPIC,
     ExperimentShown,
     LedsShown,
+    PanelShown,
 )
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic, OpusPacket, PacketOctets
@@ -79,6 +82,7 @@ _SCHEMAS: Mapping[Any, tuple[MessageSchema, ...]] = {
     None: (VIDEO,),
     ExperimentShown: (EXPERIMENT,),
     LedsShown: (LED_PANEL,),
+    PanelShown: (MISSION_PANEL,),
 }
 
 
@@ -198,9 +202,14 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
             messages = {f"/link/{name}/frames/{way}": f"frames as {way}, if asked for"}
             yield Source(frames, name, messages)
     written = {topic for row in topology.processes for topic in row.writes}
-    for tasks, channel in ((MISSION_GROUND_TOPIC, "/experiment"), (MISSION_LEDS_TOPIC, "/leds")):
-        if tasks in written:
-            yield Source(tasks, channel[1:], {channel: f"{tasks.what}, at each change"})
+    changes: tuple[tuple[AnyTopic, str], ...] = (
+        (MISSION_GROUND_TOPIC, "experiment"),
+        (MISSION_LEDS_TOPIC, "leds"),
+        (MISSION_PANEL_TOPIC, "panel"),
+    )
+    for shown, name in changes:
+        if shown in written:
+            yield Source(shown, name, {f"/{name}": f"{shown.what}, at each change"})
     # Last, because they are opened in this order, and these are the fastest.
     for haptic in topology.haptics:
         end = haptic.sender

@@ -180,7 +180,7 @@ def _checked(url: str) -> tuple[str, str]:
     if scheme == "srt" and not _has_srt():
         raise ConfigError(
             "--to srt://…: the FFmpeg of this PyAV has no SRT; give --to udp://127.0.0.1:PORT and "
-            "relay it, as docs/players.md shows"
+            "relay it, as docs/rtp-streams.md shows"
         )
     resolve(host, url, "--to")
     shown = shown_spec(url)

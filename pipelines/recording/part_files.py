@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from kontur_av.errors import ConfigError, ProtocolError, refused
 from kontur_av.sources.spec import played_file
@@ -31,6 +31,8 @@ _MOST_PARTS = 100_000
 _TRIAL = ".trial"
 #: A recording without a known end has room for this long at its beginning.
 LEAST_RECORDED_S = 60.0
+#: Where nobody asks, all cameras are recorded if there is room for this long.
+_ROOMY_S = 3600.0
 #: Of a camera that is recorded whole: the most that three clips of real footage took.
 _OCTETS_PER_PIXEL = 0.021
 
@@ -71,21 +73,43 @@ def check_recordable(path: Path, *, overwrite: bool, sources: Iterable[str] = ()
         trial.unlink()
 
 
-def check_disk(path: Path, setup: Setup, seconds: float) -> None:
-    """Raise ConfigError if the disk of `path` has no room for all cameras for so many seconds.
+class RecordedCameras(NamedTuple):
+    """choice: of the cameras, "all" or "carried". octets_per_s: that all of them need."""
 
-    A setup that does not record all cameras needs little, and is not checked.
+    choice: Literal["all", "carried"]
+    words: str
+    octets_per_s: float
+
+
+def recorded_cameras(path: Path, setup: Setup, asked: str = "") -> RecordedCameras:
+    """Decide which cameras a recording at `path` has. asked: "all", "carried", or "" for neither.
+
+    Where neither asks for it, all are recorded if the disk has room for an hour.
     """
-    if setup.recorded_cameras != "all":
-        return
+    asked = asked or setup.recorded_cameras
     streams = [setup.stream_of(name) for name in setup.inputs if setup.kind_of(name) == "video"]
     octets_per_s = sum(_OCTETS_PER_PIXEL * one.width * one.height * one.fps for one in streams)
     free = shutil.disk_usage(path.parent).free
-    if free < octets_per_s * seconds:
+    need = f"all {len(streams)} take up to {60 * octets_per_s / 1e6:.0f} MB a minute"
+    fits = octets_per_s * _ROOMY_S <= free
+    if asked == "all" or (asked == "auto" and fits):
+        return RecordedCameras("all", f"cameras at full rate: {need}", octets_per_s)
+    words = f"cameras as carried, others at 5 Hz: {need}"
+    if asked == "auto":
+        words += f", and the disk has {free / 1e6:.0f} MB free (--record-cameras all)"
+    return RecordedCameras("carried", words, octets_per_s)
+
+
+def check_disk(path: Path, cameras: RecordedCameras, seconds: float) -> None:
+    """Raise ConfigError if the disk of `path` has no room for all cameras for so many seconds.
+
+    A recording without all cameras needs little, and is not checked.
+    """
+    need, free = cameras.octets_per_s * seconds, shutil.disk_usage(path.parent).free
+    if cameras.choice == "all" and free < need:
         raise ConfigError(
-            f"{path}: {len(streams)} cameras take about {60 * octets_per_s / 1e6:.0f} MB a minute, "
-            f"{octets_per_s * seconds / 1e6:.0f} MB in {seconds:g} s, and the disk has "
-            f'{free / 1e6:.0f} MB free: record to another disk, or take recorded_cameras = "idle"'
+            f"{path}: {cameras.words}, {need / 1e6:.0f} MB in {seconds:g} s, and the disk has "
+            f"{free / 1e6:.0f} MB free: record to another disk, or with --record-cameras carried"
         )
 
 

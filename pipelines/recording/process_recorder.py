@@ -15,6 +15,7 @@ from kontur_av.clock import NS_PER_MS, NS_PER_US
 from kontur_av.errors import ConfigError
 from kontur_av.metrics import plus
 from pipelines.media.following import SELECTED_TOPIC
+from pipelines.mission.supervisor import session_dictionary
 from pipelines.recording import part_files
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import sources_of
@@ -39,6 +40,7 @@ from pipelines.session.requests import RequestServer
 from pipelines.session.session_metrics import SessionNews, gathered
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.session.topic_ends import TopicReader
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 #: How often topics are read.
 _WAKE_NS = 50 * NS_PER_MS
@@ -50,6 +52,8 @@ _DRAIN_NS = 150 * NS_PER_MS
 _CLOSE_S = 1.5
 #: Unread samples of a topic that are kept: the most that there can be.
 _DEPTH = 32
+#: Pictures of a camera that are coded before other things are done: twice as many as come.
+_PICTURES = 4
 
 
 def run_recorder(context: Context) -> None:
@@ -114,7 +118,8 @@ class _RecorderProcess:
             path, overwrite=start.overwrite, sources=self._context.setup.sources.values()
         )
         try:
-            part_files.check_disk(path, self._context.setup, part_files.LEAST_RECORDED_S)
+            cameras = part_files.recorded_cameras(path, self._context.setup, start.options.cameras)
+            part_files.check_disk(path, cameras, part_files.LEAST_RECORDED_S)
             part_files.clear_parts(path)
             write_request(self._context.session, start.options)
         except OSError as error:
@@ -141,6 +146,7 @@ class _RecorderProcess:
             messages=counters.messages,
             lost=counters.lost,
             fault="" if recording is None else recording.fault,
+            cameras="" if recording is None else recording.cameras,
         )
 
     def _publish(self) -> None:
@@ -154,7 +160,10 @@ class _Recording:
 
     def __init__(self, context: Context, options: RecordingOptions) -> None:
         self._now_ns = context.clock.now_ns
-        topology, setup = context.topology, context.setup
+        cameras = part_files.recorded_cameras(Path(options.file), context.setup, options.cameras)
+        self.cameras = cameras.words
+        setup = replace(context.setup, recorded_cameras=cameras.choice)
+        topology = replace(context.topology, setup=setup)
         offset_ns = context.clock.wall_offset_ns
         now_ns = self._now_ns()
         # Those of a session that is recorded from its start, and those that a killed recorder held.
@@ -175,6 +184,7 @@ class _Recording:
         self._recorder = Recorder(
             topology,
             metadata,
+            session_dictionary(built_in_dictionary(), topology),
             wall_offset_ns=offset_ns,
             link_frames=options.link_frames,
             limits=options.limits,
@@ -189,9 +199,9 @@ class _Recording:
             if not source.is_camera
         ]
         self._selected = TopicReader(self._bus, SELECTED_TOPIC)
-        whole = setup.recorded_cameras == "all"
+        whole = cameras.choice == "all"
         self._cameras = [
-            CameraReader(self._bus, source, self._recorder.coder(source), whole=whole)
+            CameraReader(self._bus, source, self._recorder.coder(source), now_ns, whole=whole)
             for source in sources
             if source.is_camera
         ]
@@ -208,7 +218,7 @@ class _Recording:
 
     @property
     def metrics(self) -> RecorderMetrics:
-        return self._recorder.metrics(str(self.file))
+        return replace(self._recorder.metrics(str(self.file)), cameras=self.cameras)
 
     def handle_news(self, news: SessionNews) -> None:
         """The launcher tells the figures, and what happened, also before the recording."""
@@ -232,7 +242,9 @@ class _Recording:
         if (choice := self._selected.latest()) is not None:
             self._follow(choice.camera)
         for camera in self._cameras:
-            while (coded := camera.poll(self._now_ns())) is not None:
+            for _ in range(_PICTURES):
+                if (coded := camera.poll(self._now_ns())) is None:
+                    break
                 recorder.handle_camera(camera.source, *coded, self._now_ns())
         recorder.handle_time(self._now_ns())
         self._pump()
@@ -246,8 +258,7 @@ class _Recording:
         self._take_results()
         self._recorder.parts.handle_abandoned()
         self._bus.close()
-        told = self._recorder.metrics(str(self.file))
-        return replace(told, recording=False, fault=None, waiting_octets=0)
+        return replace(self.metrics, recording=False, fault=None, waiting_octets=0)
 
     def _follow(self, camera: str) -> None:
         carried = self._carried.get(camera, ())

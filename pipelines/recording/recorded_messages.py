@@ -7,7 +7,7 @@ the name of the schema's field; `wall_ns` is the schema's `timestamp`. Haptic sa
 
 from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
-from math import degrees, nan
+from math import nan
 from typing import Annotated, Any, ClassVar, Final, TypeVar
 
 import numpy as np
@@ -39,17 +39,15 @@ from pipelines.recording.schemas import (
     numbered,
     record,
 )
-from pipelines.session.mission_messages import ExperimentShown, LedsShown, RunShown
+from pipelines.session.mission_messages import ExperimentShown, LedsShown, PanelShown, RunShown
 from pipelines.session.session_metrics import gathered
 from telepresence.haptics.axes import AXIS_NAMES, MOST_OWN_AXES, AxisName
-from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.link.link_metrics import (
     PathMetrics,
     ReceiverMetrics,
     SenderMetrics,
     SupervisionMetrics,
 )
-from telepresence.tmtc.pus.head import apid_of, is_packet, is_telecommand, message_of
 
 OPUS = "opus"
 
@@ -153,6 +151,23 @@ class RecordedExperiment(Recorded):
     def of(cls, shown: ExperimentShown, session_ns: int) -> "RecordedExperiment":
         ended = shown.runs[-1] if shown.runs else RunShown("", 0, "", "", None)
         return gathered(cls, ended, shown, session_ns=session_ns, ended_run=ended.run)
+
+
+@record("Panel", "what the mission control panel shows; told when it changes")
+class RecordedPanel(Recorded):
+    session_ns: Annotated[Int64, "session clock"]
+    mode: Annotated[Text, "`no_contact`, `wait_task`, `task_info`, `move_to_start`, `hold`, …"]
+    task: Annotated[Text, "present task; empty without"]
+    run: Annotated[Uint32, "number of its run; 0 without"]
+    words: Annotated[Text, "what the cosmonaut is told to do"]
+    goal: Annotated[Text, "what has to be done now: `reach`, `circle`, `spring`, …; empty without"]
+    step: Annotated[Uint32, "the goal is this one of `steps`"]
+    steps: Annotated[Uint32, "goals of the run"]
+    dead_man: Annotated[Bool, "the dead-man button is pressed"]
+
+    @classmethod
+    def of(cls, shown: PanelShown, session_ns: int) -> "RecordedPanel":
+        return gathered(cls, shown, session_ns=session_ns)
 
 
 @record("LedPanel", "what the LED panel shows; told when it changes")
@@ -440,10 +455,11 @@ TRANSFER_FRAMES, LINK_SENT = RecordedFrames.schema, LinkSent.schema
 LINK_RECEIVED, EVENT = LinkReceived.schema, RecordedEvent.schema
 LOSSES, METRICS = RecorderLosses.schema, RecordedMetrics.schema
 EXPERIMENT, LED_PANEL = RecordedExperiment.schema, RecordedLeds.schema
+MISSION_PANEL = RecordedPanel.schema
 #: All schemas; a channel names its own by its place here.
 SCHEMAS = (
     *(VIDEO, AUDIO, LOG, UNIT_METADATA, HAPTIC_SAMPLES, SPACE_PACKET, TRANSFER_FRAMES),
-    *(LINK_SENT, LINK_RECEIVED, EVENT, LOSSES, METRICS, EXPERIMENT, LED_PANEL),
+    *(LINK_SENT, LINK_RECEIVED, EVENT, LOSSES, METRICS, EXPERIMENT, LED_PANEL, MISSION_PANEL),
 )
 #: The `sequence` of a cycle without a sample on the link.
 NO_SAMPLE: Final = haptic_trace.NO_SAMPLE
@@ -505,29 +521,3 @@ def unpack_haptics(octets: bytes) -> NDArray[np.void]:
     for name, column in columns.items():
         samples[name] = column
     return samples
-
-
-def _call_words(data: bytes) -> str:
-    """Which function a telecommand calls, with its argument if that is a text."""
-    octets = data[11:-2]  # between the headers and the check
-    text = octets[1:].rstrip(b"\0").decode("latin-1")
-    words = f" {text}" if text.isascii() and text.isprintable() else ""
-    return f"function {octets[0]}{words}".rstrip() if octets else ""
-
-
-def packet_words(data: bytes) -> str:
-    """Return what a space packet of telecommands or telemetry says, in words."""
-    if is_packet(data):
-        service, subtype = message_of(data)
-        way = "telecommand to" if is_telecommand(data) else "report of"
-        words = f"PUS {service},{subtype}: {way} application {apid_of(data):#x}"
-        called = _call_words(data) if is_telecommand(data) and (service, subtype) == (8, 1) else ""
-        return f"{words}: {called}" if called else words
-    try:
-        wall = parse_wall(data).wall
-    except ProtocolError:
-        return "unknown"
-    if wall is None:
-        return "no wall"
-    way = f"{degrees(wall.angle_rad):.1f}°"
-    return f"wall at {wall.distance_m:.4f} m towards {way}, {wall.stiffness_n_m:.0f} N/m"

@@ -25,6 +25,7 @@ from pipelines.recording.session_messages import ChannelMessage, Figure, Instant
 from pipelines.session.recording_requests import PartLimits
 from pipelines.session.session_metrics import SampleNumbers
 from pipelines.session.topology.table import Topology
+from telepresence.tmtc.pus.dictionary import Dictionary
 
 #: Events come at most so late: the launcher looks for them once a second.
 EVENTS_LATE_NS: Final = 3 * NS_PER_S
@@ -56,14 +57,15 @@ class Recorder:
     `parts.handle_fault`. Ask the writers of topics for key pictures by `poll_ask`.
     After `handle_end` take what is left.
 
-    metadata: of the first part. wall_offset_ns: wall time less the session's clock.
-    parts: what is to be written.
+    metadata: of the first part. dictionary: names what packets say. wall_offset_ns: wall time less
+    the session's clock. parts: what is to be written.
     """
 
     def __init__(
         self,
         topology: Topology,
         metadata: RecordingMetadata,
+        dictionary: Dictionary,
         *,
         wall_offset_ns: int,
         link_frames: bool = False,
@@ -76,7 +78,7 @@ class Recorder:
         self._numbers = {row.topic: row.number for row in rows}
         self._counts = ChannelCounts()
         self.parts = PartStreams((row.records() for row in rows), self._counts, most_waiting_octets)
-        self._messages = SessionMessages(wall_offset_ns)
+        self._messages = SessionMessages(wall_offset_ns, dictionary)
         #: By channel of units.
         self._pictures: dict[str, _Pictures] = {}
         self._keys_late = 0

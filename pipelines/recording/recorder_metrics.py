@@ -38,6 +38,8 @@ class RecorderMetrics:
     file: Newest[str] | None = None
     #: Whether it records now.
     recording: Newest[bool] = False
+    #: Which cameras are recorded, and what all of them need.
+    cameras: Newest[str] = ""
     #: Why nothing can be written; null if all is well.
     fault: Newest[str] | None = None
     #: What waits for the disk.

@@ -3,6 +3,7 @@
 The recorder writes them into a file; others show them live.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -22,10 +23,12 @@ from pipelines.recording.channels import (
     SESSION_METRICS,
     Source,
 )
-from pipelines.session.mission_messages import ExperimentShown, LedsShown
+from pipelines.recording.packet_words import PacketWords
+from pipelines.session.mission_messages import ExperimentShown, LedsShown, PanelShown
 from pipelines.session.topic import OpusPacket, PacketOctets
 from pipelines.session.topology.rows import Frames
 from telepresence.link.link_metrics import GatewayMetrics
+from telepresence.tmtc.pus.dictionary import Dictionary
 
 #: A contact has ended when the tip was free for this long; shorter breaks are the tip's bounces.
 _FREE_NS = 50 * NS_PER_MS
@@ -63,6 +66,7 @@ _WARNINGS = frozenset({"process", "stale", "recorder"})
 _SHOWN: Mapping[Any, Callable[..., messages.Recorded]] = {
     ExperimentShown: messages.RecordedExperiment.of,
     LedsShown: messages.RecordedLeds.of,
+    PanelShown: messages.RecordedPanel.of,
 }
 
 Figure = float | str | bool | None
@@ -86,14 +90,19 @@ class ChannelMessage(NamedTuple):
 
 
 class SessionMessages:
-    """Makes the messages of one reader. wall_offset_ns: wall time less the session's clock."""
+    """Makes the messages of one reader.
 
-    def __init__(self, wall_offset_ns: int) -> None:
+    wall_offset_ns: wall time less the session's clock. dictionary: names what packets say.
+    """
+
+    def __init__(self, wall_offset_ns: int, dictionary: Dictionary) -> None:
         self._offset_ns = wall_offset_ns
+        self._words = PacketWords(dictionary)
         self._contact = ContactWatch()
         self._events = self._metrics = 0
-        #: By topic of what is told at each change: the newest sample.
-        self._shown: dict[str, bytes] = {}
+        #: By topic of what is told at each change: what was told, and how often.
+        self._shown: dict[str, messages.Recorded] = {}
+        self._changes: Counter[str] = Counter()
         #: The figures that were told.
         self._told: Mapping[str, Figure] = {}
 
@@ -101,7 +110,7 @@ class SessionMessages:
         self, source: Source, octets: bytes, stamp: CaptureStamp, at: Instants
     ) -> Sequence[ChannelMessage]:
         """Return what a sample becomes, other than an access unit or a camera's picture."""
-        at_ns, kind = stamp.capture_ns, source.topic.type
+        at_ns, kind, number = stamp.capture_ns, source.topic.type, stamp.sequence
         if kind is HapticBlock:
             rows = rows_of(octets)
             if not len(rows):
@@ -119,7 +128,7 @@ class SessionMessages:
             ]
         elif kind is PacketOctets:
             packet = messages.RecordedPacket(
-                session_ns=at_ns, data=octets, what=messages.packet_words(octets)
+                session_ns=at_ns, data=octets, what=self._words.of(octets)
             )
             told = [messages.pack(packet)]
         elif kind is GatewayMetrics:
@@ -129,10 +138,13 @@ class SessionMessages:
             received = messages.LinkReceived.of(found.receive, state, session_ns=at_ns)
             told = [messages.pack(sent), messages.pack(received)]
         elif kind in _SHOWN:
-            if self._shown.get(source.topic) == octets:
-                return []
-            self._shown[source.topic] = octets
             shown = source.topic.unpack(octets)
+            undated = _SHOWN[kind](shown, 0)
+            if self._shown.get(source.topic) == undated:
+                return []
+            self._shown[source.topic] = undated
+            self._changes[source.topic] += 1
+            number = self._changes[source.topic]
             told = [messages.pack(_SHOWN[kind](shown, at_ns))]
         elif kind == Frames:
             frames = source.topic.unpack(octets)
@@ -143,7 +155,7 @@ class SessionMessages:
             at_ns = times[0]
         else:
             raise ValueError(f"{source.topic}: its samples are not octets")
-        return _messages(source.channels, told, at_ns + self._offset_ns, stamp.sequence, at)
+        return _messages(source.channels, told, at_ns + self._offset_ns, number, at)
 
     def touches(self, source: Source, octets: bytes) -> Sequence[messages.RecordedEvent]:
         """Return the touches in a sample of the robot's haptics."""

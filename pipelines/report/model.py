@@ -106,15 +106,16 @@ class StreamReport(SentStream, frozen=True, kw_only=True):
     above_cap_bps: int = 0
     #: The rate of the last second; while the session runs.
     rate_bps: int | None = None
-    #: Of pictures only.
+    #: Of pictures alone:
     feedback: Flat[FeedbackCounts] | None = None
-    #: The receiver of a picture, or that of a voice.
+    #: Of pictures alone:
     video: Received[Flat[VideoReceiverCounts]] | None = None
+    #: Of a voice alone:
     voice: Received[Flat[VoiceReceiverCounts]] | None = None
-    #: Of pictures only.
+    #: Of pictures alone:
     decoder: Received[Flat[DecoderCounts]] | None = None
     display: Received[Flat[DisplayMetrics]]
-    #: Of a voice that a loudspeaker plays.
+    #: Of a voice alone:
     playback: Received[Flat[LoudspeakerCounts]] | None = None
     displayed_hz: Received[float]
     stale_after_ms: Received[float]
@@ -138,7 +139,6 @@ class StreamReport(SentStream, frozen=True, kw_only=True):
 class HapticReport(Report, frozen=True, kw_only=True):
     """One direction of the haptic samples: `up` carries forces, `down` carries motion."""
 
-    #: As in StreamReport.
     side: str | None = None
     #: The rate of the insert zone.
     cap_bps: int
@@ -462,7 +462,7 @@ class SimulationReport(Report, frozen=True, kw_only=True):
 
 
 class SecondArmReport(Report, frozen=True, kw_only=True):
-    """The arm that only a partner drives (docs/rtc.md)."""
+    """The arm that only a partner drives (docs/webrtc.md)."""
 
     sender: Flat[SamplesSent]
     receiver: Flat[SamplesReceived]

@@ -87,6 +87,7 @@ def build_report(
             uplink,
             force_ns=collector.haptics["up"].latency.mean,
             epoch_ns=epoch_ns,
+            bypass=topology.options.bypass,
         ),
         sync=sync,
         lip_sync=collector.lip_sync.summary() if collector.lip_sync.counted_ns else None,

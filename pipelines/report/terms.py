@@ -115,11 +115,18 @@ def zone_bps(profile: LinkProfile, link: DirectionReport) -> float:
 
 
 def video_lead(
-    setup: Setup, way: DelaySums, link: DirectionReport, *, force_ns: float, epoch_ns: int
+    setup: Setup,
+    way: DelaySums,
+    link: DirectionReport,
+    *,
+    force_ns: float,
+    epoch_ns: int,
+    bypass: bool = False,
 ) -> VideoLead | None:
     """The lead of force over the uplink's picture of the same event; None without pictures.
 
-    link: the uplink's figures in the report. force_ns: mean latency of the force.
+    link: the uplink's figures in the report. force_ns: mean latency of the force. bypass: the
+    programs are joined past gateways and radio, so that nothing is serialised or delayed.
     """
     if not way.pictures:
         return None
@@ -129,7 +136,10 @@ def video_lead(
     rate_bps = zone_bps(profile, link)
     propagation_ns = way.propagation_ns(setup, profile, epoch_ns)
     octets = way.octets_mean + header_octets * way.packets_mean
-    serialisation_ns = octets * 8 * NS_PER_S / rate_bps
+    # A part is no longer than the whole.
+    network_ns = 0.0 if bypass else max(0.0, way.mean_ns("network"))
+    propagation_ns = min(propagation_ns, network_ns)
+    serialisation_ns = min(octets * 8 * NS_PER_S / rate_bps, network_ns - propagation_ns)
     left_over_ns = way.mean_ns("network") - serialisation_ns - propagation_ns
     video = {
         **{name: way.mean_ns(name) for name in TERMS if name in _MEASURED},
@@ -140,9 +150,10 @@ def video_lead(
     }
     # A sample has a reserved place in its frame, so it waits only for its slot and its cycle.
     force = dict.fromkeys((*TERMS, "total"), 0.0)
+    delay_ns = 0.0 if bypass else min(propagation_ns, max(0.0, force_ns))
     force |= {
-        "queueing": force_ns - propagation_ns,
-        "propagation": propagation_ns,
+        "queueing": force_ns - delay_ns,
+        "propagation": delay_ns,
         "total": force_ns,
     }
     return VideoLead(

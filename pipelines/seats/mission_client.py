@@ -126,13 +126,17 @@ def radio_text(
     heard: bool | None,
     unverified: int,
     connected: bool = True,
+    obstacle: str = "",
 ) -> texts.RadioText:
     """Return what to say at an end.
 
     hears: good frames of the peer arrive here. heard: the peer said so of ours in its newest
     report. None: not known. unverified: telecommands in a row that nobody acknowledged.
     connected: the link is; then only both directions may be said to carry.
+    obstacle: why an end does not begin the link; "" for none.
     """
+    if obstacle:
+        return texts.RadioText(level="bad", words=f"No link: {obstacle}.")
     peer = _PEER[segment]
     sent = f" The last {unverified} were not acknowledged." if unverified > 1 else ""
     if hears is False:
@@ -173,6 +177,7 @@ class MissionClient:
         self._hears: bool | None = None
         self._heard: bool | None = None
         self._connected = True
+        self._obstacle = ""
         self._makers: Mapping[str, Callable[[], msgspec.Struct]] = {
             "chat": lambda: self._chat.text,
             "commands": lambda: self._commands.text,
@@ -184,6 +189,7 @@ class MissionClient:
                 heard=self._heard,
                 unverified=self._commands.unverified,
                 connected=self._connected,
+                obstacle=self._obstacle,
             ),
         }
         #: By kind: what does not come from telemetry, as other processes tell it.
@@ -223,7 +229,7 @@ class MissionClient:
         elif isinstance(news, tmtc_messages.K2aciArrived):
             if self._chat.handle_arrived(news, now_ns):
                 self._changed.add("chat")
-        elif isinstance(news, tmtc_messages.Reported):
+        elif isinstance(news, tmtc_messages.Reported) and news.kind != "data":
             self._telemetry.handle_report(news, now_ns)
             if news.application == f"{self._segment.peer.value}_gateway":
                 # It says whether it hears us; its event is the quicker one.
@@ -243,6 +249,12 @@ class MissionClient:
         """Whether the link is connected."""
         if connected != self._connected:
             self._connected = connected
+            self._changed.add("radio")
+
+    def handle_obstacle(self, why: str) -> None:
+        """Why an end does not begin the link, in words; "" if nothing is in the way."""
+        if why != self._obstacle:
+            self._obstacle = why
             self._changed.add("radio")
 
     def handle_shown(self, kind: str, text: msgspec.Struct) -> None:

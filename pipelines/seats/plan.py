@@ -197,14 +197,22 @@ def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:
 
 
 def welcome_text(
-    role: Role, segment: Segment, *, ports: dict[str, int], people: dict[str, str], tasks: bool
+    role: Role,
+    segment: Segment,
+    *,
+    ports: dict[str, int],
+    people: dict[str, str],
+    tasks: bool,
+    trainer: bool = False,
 ) -> texts.WelcomeText:
     """Return what a person of `role` is told where people choose a page.
 
     people: by role, its token; tokens of others are for the owner alone.
     """
     told = people if role is Role.OPERATOR else {}
-    return texts.WelcomeText(role=role, seat=segment, ports=ports, tasks=tasks, people=told)
+    return texts.WelcomeText(
+        role=role, seat=segment, ports=ports, tasks=tasks, trainer=trainer, people=told
+    )
 
 
 def _exercises(topology: Topology) -> Iterator[texts.ExerciseText]:

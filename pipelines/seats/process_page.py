@@ -139,11 +139,18 @@ class PageServer:
             return await self._serve_seat(request, found.role)
         if found.kind is AccessKind.MEDIA:
             return await self._serve_media(request, found.role)
-        tasks = self._context.topology.options.tasks
+        options = self._context.topology.options
         listener, segment = self._listener, self._seat.plan.segment
         people = {Role.VIEWER.value: listener.viewer_token, **listener.people}
         ports = dict(listener.ports)
-        text = welcome_text(found.role, segment, ports=ports, people=people, tasks=tasks)
+        text = welcome_text(
+            found.role,
+            segment,
+            ports=ports,
+            people=people,
+            tasks=options.tasks,
+            trainer=options.trainer,
+        )
         return self._site.file(request, found, {"__WELCOME__": escape(pack_text(text))})
 
     # The socket of a page

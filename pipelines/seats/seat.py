@@ -10,7 +10,7 @@ from msgspec.structs import asdict, replace
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ProtocolError
 from pipelines.hand.hand_topics import HandRequest, JoystickStatus
-from pipelines.mission.tmtc_messages import TmtcNews, TmtcRequest
+from pipelines.mission.tmtc_messages import SetValues, TmtcNews, TmtcRequest, Values
 from pipelines.seats import texts
 from pipelines.seats.holders import HandGate, HandleAuthority, JoystickClient, OwnInputs
 from pipelines.seats.mission_client import MissionClient
@@ -24,6 +24,7 @@ from pipelines.session.session_metrics import Event, Figure, SessionNews, gather
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
 from pipelines.session.situation import Known, situation
+from pipelines.session.topology.topics import TRAINER
 from telepresence.haptics.device import states
 from telepresence.haptics.device.functional_test import Outcome
 from telepresence.haptics.device.handle import Drive
@@ -58,8 +59,15 @@ MOST_VIEWERS, MOST_ACTING = 12, 12
 HEARTBEAT_NS = 100 * NS_PER_MS
 #: What has been silent for longer is not heard.
 _HEARD_NS = 2 * NS_PER_S
+#: How often the telemetry of K2CP is told.
+_K2CP_NS = 5 * NS_PER_S
 #: As many as the launcher keeps.
 _MOST_EVENTS = 200
+
+
+def _untold(news: SessionNews) -> SessionNews:
+    """The news for all but the trainer: who is trained does not read what is an exercise."""
+    return replace(news, events=tuple(one for one in news.events if one.what != TRAINER))
 
 
 class _Rule(NamedTuple):
@@ -151,7 +159,7 @@ class Seat:
         self._stop: tuple[bool, str] = (False, "")
         self._signal: bool | None = None
         self.camera: str | None = None
-        self._due_ns = 0
+        self._due_ns = self._k2cp_ns = 0
         self._events: deque[SeatEvent] = deque()
         self._left_out = 0
 
@@ -201,6 +209,8 @@ class Seat:
         page.queue.put_state(self._state_text(number, now_ns))
         if self._session is not None:
             joined = replace(self._session, events=tuple(self._happened))
+            if role is not Role.TRAINER:
+                joined = _untold(joined)
             page.queue.put_metrics(texts.pack_text(joined))
         return number
 
@@ -380,12 +390,22 @@ class Seat:
         """A message of the launcher; pages get it unchanged."""
         self._session = news
         self._happened.extend(news.events)
-        words = texts.pack_text(news)
+        words, others = texts.pack_text(news), texts.pack_text(_untold(news))
         for page in self._pages.values():
-            page.queue.put_metrics(words)
+            page.queue.put_metrics(words if page.role is Role.TRAINER else others)
+        self.mission.handle_obstacle(self._obstacle())
         selected = self._figure("processes.selector.selected")
         if self.plan.segment is Segment.SPACE and isinstance(selected, str):
             self.handle_camera(selected, now_ns)
+
+    def _obstacle(self) -> str:
+        """Why an end known here sends nothing, or refuses the other one."""
+        found = []
+        for end in (self.plan.segment, self.plan.segment.peer):
+            head = f"gateways.{end.value}.supervision"
+            if self._figure(f"{head}.state") in ("check", "refused"):
+                found.append(f"{end.value}: {self._figure(f'{head}.why')}")
+        return "; ".join(found)
 
     def _figure(self, name: str) -> Figure:
         return None if self._session is None else self._session.figures.get(name)
@@ -399,6 +419,12 @@ class Seat:
         if now_ns >= self._due_ns:
             self._publish_state(now_ns)
             self._publish_mission()
+        if self.plan.segment is Segment.SPACE and now_ns >= self._k2cp_ns:
+            self._k2cp_ns = now_ns + _K2CP_NS
+            acts = any(page.role is not Role.VIEWER for page in self._pages.values())
+            joystick = self._joystick is not None
+            told: Values = {"state": "open" if acts else "no page", "joystick": joystick}
+            self._events.append(SetValues("k2cp", told))
 
     def _publish_state(self, now_ns: int) -> None:
         self._due_ns = now_ns + HEARTBEAT_NS

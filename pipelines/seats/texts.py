@@ -152,13 +152,15 @@ class WelcomeText(msgspec.Struct, frozen=True, kw_only=True):
     """What the page where people choose a page must know; it stands in that page itself.
 
     seat: the end that serves it. ports: by end, of those on this machine. tasks: whether the
-    session has any. people: by role, its token, for the owner to hand out; none for others.
+    session has any. trainer: whether it has one. people: by role, its token, for the owner to hand
+    out; none for others.
     """
 
     role: Role
     seat: Segment
     ports: dict[str, int]
     tasks: bool
+    trainer: bool
     people: dict[str, str]
 
 

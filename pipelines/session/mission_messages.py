@@ -53,7 +53,9 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     after a release here. offset_mm: the robot's place less the hand's. holds: its hand holds a
     ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
     axes: of each behind x and y its name, place and force of its surroundings: m and N, or rad and
-    N m. partner: of the partner's robot, "none", "absent", "ready" or "driven".
+    N m. partner: of the partner's robot, "none", "absent", "ready" or "driven". partner_seen:
+    while it is driven: the place (x, y) that the joystick wants (m), its force (N), whether it
+    touches something, and the age (ms) of its newest sample.
     """
 
     boot_id: int
@@ -83,6 +85,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     axes: tuple[tuple[str, float, float], ...] = ()
     barred: str = ""
     blind: bool = False
+    partner_seen: tuple[float, float, float, bool, int] | None = None
 
 
 class CameraRequest(msgspec.Struct, frozen=True, array_like=True):

@@ -65,11 +65,15 @@ class StreamOptions:
     record: Path | None = _session("*FILE.mcap  record the session")
     report: Path | None = _session("*--report")
     tasks: tuple[Path, ...] | None = _session(
-        "*FILE.xml  have tasks for people; with files, further ones", bare=()
+        "*FILE.xml  have tasks that people select; with files, further ones", bare=()
     )
     quiet: bool = _session("*-q", False, rivals=("verbose",))
     overwrite: bool = _session("replace a recording of that name", False)
     link_frames: bool = _session("record every frame of the radio link, too", False)
+    record_cameras: Literal["all", "carried"] | None = _session(
+        "record every camera at its full rate (all, the default if the disk has room for an hour), "
+        "or as the streams carry them, others at 5 Hz (carried)"
+    )
     part_seconds: float = _session(
         "S  begin a new part of the recording after S seconds (default 600)", 600.0
     )
@@ -82,6 +86,9 @@ class StreamOptions:
     runs: Path | None = _session("DIR  record each run of a task into a file there")
     telemetry: tuple[str, ...] = _session(
         "SPEC  your component in telemetry: module:Class, at both ends; repeatable", ()
+    )
+    routes: Path | None = _session(
+        "FILE.xml  which data of applications go to your components, or to ground; at both ends"
     )
     trainer: bool = _session(
         "heed `kontur-av trainer`; with --end space, the radio of both directions is here", False
@@ -352,6 +359,7 @@ def setup_changes(options: StreamOptions) -> Mapping[str, Any]:
     """What the options change in the setup."""
     names = ("base_port", "deadband", "hand", "force", "repair", "path", "path_batch_ms")
     changes = {name: getattr(options, name) for name in names}
+    changes["recorded_cameras"] = options.record_cameras
     if options.radio is not None:
         changes |= {"radio": load_radio(options.radio), "radio_delay_ms": 0.0}
     elif options.radio_delay_ms is not None:

@@ -34,12 +34,14 @@ class RecordingOptions(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=
     """What is to be recorded, and into which file.
 
     file: absolute path of the first part. link_frames: with every frame of the radio link.
-    part_s, part_mb: when a new part begins. command: the command line that wished it.
+    cameras: "all", "carried", or "" as the setup has it. part_s, part_mb: when a new part begins.
+    command: the command line that wished it.
     held: end the recording when its terminal has gone.
     """
 
     file: str
     link_frames: bool = False
+    cameras: str = ""
     part_s: float = 600.0
     part_mb: float = 256.0
     command: str = ""
@@ -72,7 +74,7 @@ class RecordAnswer(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     """How it goes, or how the newest recording went.
 
     file: that is being written; "" if nothing is recorded. files: how many parts there are. lost:
-    messages that are in none of them.
+    messages that are in none of them. cameras: which are recorded, and what they need.
     """
 
     file: str = ""
@@ -80,6 +82,7 @@ class RecordAnswer(msgspec.Struct, frozen=True, kw_only=True, tag=True):
     messages: int = 0
     lost: int = 0
     fault: str = ""
+    cameras: str = ""
 
 
 _REQUEST = "recording"

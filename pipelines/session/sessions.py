@@ -104,6 +104,12 @@ def launched_sessions() -> list[str]:
     return [one for one in sessions() if (session_root(one) / LAUNCHER).exists()]
 
 
+def advised(command: str, session: str) -> str:
+    """The command to give about a session, with its name where others run, too."""
+    named = f" --session {session}" if len(launched_sessions()) > 1 else ""
+    return f"`kontur-av {command}{named}`"
+
+
 def is_alive(session: str) -> bool:
     try:
         lock = os.open(session_root(session) / LAUNCHER, os.O_RDWR)

@@ -78,7 +78,8 @@ class TrainerAnswer(msgspec.Struct, frozen=True, tag=True):
 class TrainerReach:
     """What a trainer can make fail. radio, joystick, robot, tasks: whether these are here.
 
-    cameras: the inputs with pictures that are here.
+    cameras: the inputs with pictures that are here. across: the ground is across the radio, and is
+    asked by telecommand for what is there.
     """
 
     radio: bool
@@ -86,6 +87,7 @@ class TrainerReach:
     robot: bool
     tasks: bool = False
     cameras: tuple[str, ...] = ()
+    across: bool = False
 
     @classmethod
     def of(cls, topology: Topology) -> "TrainerReach":
@@ -103,10 +105,17 @@ class TrainerReach:
             robot=ground,
             tasks=ground and topology.options.tasks,
             cameras=tuple(cameras),
+            across=topology.alone is Segment.SPACE,
         )
+
+    def asks_ground(self, exercise: str) -> bool:
+        """Whether the ground is asked for an exercise, because robot and tasks are there."""
+        return self.across and exercise in (ROBOT, TASK)
 
     def lacks(self, exercise: str, camera: str) -> str:
         """Why an exercise cannot be here, in one line; "" if it can."""
+        if self.asks_ground(exercise):
+            return ""
         here = {LOS: self.radio, JOYSTICK: self.joystick, ROBOT: self.robot}
         if not here.get(exercise, True):
             part = {LOS: "radio", JOYSTICK: "joystick", ROBOT: "robot"}[exercise]
@@ -129,6 +138,7 @@ class Trainer:
         self.exercises = Exercises()
         self._probe, self._reach = probe, reach
         self._events: deque[DatedEvent] = deque(maxlen=_DEPTH)
+        self._asked: deque[tuple[str, tuple[float, ...]]] = deque()
         self._published = self.exercises
         self._due_ns = 0
 
@@ -139,6 +149,11 @@ class Trainer:
         until_ns = now_ns + round(request.seconds * NS_PER_S)
         if request.exercise == END:
             self.exercises, text = Exercises(), "all exercises ended"
+            if self._reach.across:
+                self._asked.append((END, ()))
+        elif self._reach.asks_ground(request.exercise):
+            self._asked.append((request.exercise.replace("-", "_"), (request.seconds,)))
+            text = f"{request.exercise} for {request.seconds:g} s: the ground is asked"
         else:
             changes: dict[str, tuple[str, object, str]] = {
                 LOS: ("los_ns", until_ns, "no signal"),
@@ -163,6 +178,15 @@ class Trainer:
             return None
         self._published, self._due_ns = self.exercises, now_ns + _REPEAT_NS
         return self.exercises
+
+    def next_asked(self) -> tuple[str, tuple[float, ...]] | None:
+        """The next function of the ground's trainer to call, with its arguments; or None."""
+        return self._asked.popleft() if self._asked else None
+
+    def handle_answered(self, function: str, refusal: str, now_ns: int) -> None:
+        """The ground has begun it, or says why not."""
+        words = f"the ground refuses it: {refusal}" if refusal else "the ground does it"
+        self._events.append(DatedEvent(at_ns=now_ns, what=f"{function}: {words}"))
 
     def publish(self) -> None:
         """Put what was done into the probe."""

@@ -153,7 +153,7 @@ class Tracking:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyPlan:
-    """A study; docs/study.md has an annotated file. ConfigError for what cannot work.
+    """A study; docs/simulation.md has an annotated file. ConfigError for what cannot work.
 
     consent: what a participant agrees to. note: kept with every trial, such as "with loss of weight
     of the arm". participants: a multiple of the orders that the Latin square has.

@@ -31,6 +31,7 @@ from pipelines.session.web_site import WebSite
 from pipelines.study.effects import StudyReport, account_of_study
 from pipelines.study.plan import StudyPlan, TrialResult
 from pipelines.study.trials import StudyTrials, parse_press
+from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.toml_file import read_toml, typed
 
@@ -155,6 +156,8 @@ def _columns(results: Sequence[TrialResult]) -> dict[str, Column]:
 
 
 _TICK_S = 0.004
+#: Motors get a new force once a millisecond.
+_MOTOR_TICK_S = 0.001
 #: Messages of a page; a pointer moves up to 1000 times a second, as a seat permits.
 _RATE_HZ, _BURST = 1200, 400
 #: In the private range of close codes (RFC 6455 section 7.4.2): another page has the study.
@@ -172,16 +175,17 @@ class _Page:
 
 
 class StudyServer:
-    """Call `run`. keep: called with each trial that has finished. device: the desk's handle."""
+    """Call `run`. keep: called with each trial that has finished. device: the handle."""
 
     def __init__(
         self,
         service: StudyTrials,
-        device: PageDevice,
+        device: JoystickDevice,
         listener: PageListener,
         keep: Callable[[TrialResult], None],
     ) -> None:
         self._service, self._device, self._keep = service, device, keep
+        self._tick_s = _TICK_S if isinstance(device, PageDevice) else _MOTOR_TICK_S
         self._now_ns = MonotonicClock().now_ns
         self._site = WebSite(listener, seat="study")
         self._sockets = SeatSockets(self._now_ns)
@@ -192,7 +196,7 @@ class StudyServer:
         async with self._site.served("pipelines.study", self._answer, self._sockets.close):
             while True:
                 self._tick()
-                await asyncio.sleep(_TICK_S)
+                await asyncio.sleep(self._tick_s)
 
     def _tick(self) -> None:
         now_ns = self._now_ns()
@@ -243,5 +247,8 @@ class StudyServer:
             return
         if isinstance(message, str):
             self._service.handle_press(parse_press(message), now_ns)
-        elif isinstance(hand := parse_seat_message(message, now_ns), PageInput):
+            return
+        hand = parse_seat_message(message, now_ns)
+        # With a handle of its own a page only shows.
+        if isinstance(hand, PageInput) and isinstance(self._device, PageDevice):
             self._device.handle_input(hand)

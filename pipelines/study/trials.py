@@ -14,10 +14,11 @@ from random import Random
 import msgspec
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from kontur_av.errors import ProtocolError, refused
+from kontur_av.errors import ConfigError, ProtocolError, refused
 from pipelines.study.plan import HandleCondition, StudyPlan, StudyTrial, TrialResult, trials_of
+from telepresence.haptics.device.device import JoystickDevice
 from telepresence.haptics.device.page import PageDevice
-from telepresence.haptics.device.simulated import SimulatedDevice
+from telepresence.haptics.device.simulated import Mechanics, SimulatedDevice
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.hand import SOFT_GRIP
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut, Skill
@@ -31,6 +32,33 @@ _HOW = (
     "Press the mouse button or a finger on the field, keep it pressed, and drag the dot. "
     "Or hold Space and press the arrow keys."
 )
+
+
+_HOW_HELD = "Hold the joystick's dead-man button, keep it held, and move its handle."
+
+
+def check_handle(plan: StudyPlan, device: JoystickDevice) -> None:
+    """Raise ConfigError unless a joystick with motors can be the handle of a study."""
+    has, handle = device.capabilities, plan.handle
+    name = f"joystick {has.name}"
+    if not has.has_force:
+        raise ConfigError(f"{name} has no motors, which change a handle: take one that has")
+    if any(handle.inertia_kg):
+        raise ConfigError(
+            f"{name}: its motors render no inertia stably: leave inertia_kg out of the plan, or "
+            "take the simulated handle of the page"
+        )
+    reach_m = max(task.reach_m for task in plan.tasks)
+    half_m = min(has.half_width_m, has.half_height_m)
+    if reach_m > half_m:
+        raise ConfigError(
+            f"{name} goes {half_m:g} m to each side, and targets {reach_m:g} m: bring them closer"
+        )
+    if (pull_n := max(handle.stiffness_n_m) * reach_m) > has.force_limit_n:
+        raise ConfigError(
+            f"{name} has {has.force_limit_n:g} N, and the stiffest handle {pull_n:.1f} N at the "
+            f"farthest target: take at most {int(has.force_limit_n / reach_m)} N/m"
+        )
 
 
 class StudyPhase(Enum):
@@ -96,16 +124,20 @@ def parse_press(text: str) -> StudyPress:
 class StudyTrials:
     """Call `handle_time` often, at least every 20 ms. `next_result` has each finished trial.
 
-    device: the handle; its hand is a page's or a simulated one. finished: how many trials of each
-    participant are on record. phase: what a person does. trial: the one that is done or begun.
+    device: the handle: in the hand of a page, simulated, or one with motors. finished: how many
+    trials of each participant are on record. phase: what a person does. trial: the one that is
+    done or begun.
     """
 
     def __init__(
         self,
         plan: StudyPlan,
-        device: PageDevice | SimulatedDevice,
+        device: JoystickDevice,
         finished: Mapping[int, int],
     ) -> None:
+        self._how = _HOW if isinstance(device, PageDevice) else _HOW_HELD
+        #: A simulated handle is moved by its muscles whether its button is held or not.
+        self._simulated = isinstance(device, Mechanics)
         self._plan, self._device, self._finished = plan, device, dict(finished)
         self._now_ns = self._until_ns = self._rest_ns = 0
         self._speed = (0.0, 0.0)
@@ -134,6 +166,8 @@ class StudyTrials:
         if passed_ns > _STALL_NS or self.phase not in (StudyPhase.START, StudyPhase.TRIAL):
             self._void("This computer was busy, so this trial begins again.")
             self._now_ns = now_ns
+            if not self._simulated:
+                self._device.write_force(0.0, 0.0)
             return
         for _ in range(passed_ns // NS_PER_MS):
             self._now_ns += NS_PER_MS
@@ -207,12 +241,17 @@ class StudyTrials:
             -stiffness * x_m - damping * vx_m_s,
             -stiffness * y_m - damping * vy_m_s,
         )
+        if not self._simulated and not reading.dead_man:
+            force_x = force_y = 0.0
         device.write_force(force_x, force_y)
         # The hand feels the inertia, too.
         force_x -= 1000.0 * condition.inertia_kg * (vx_m_s - self._speed[0])
         force_y -= 1000.0 * condition.inertia_kg * (vy_m_s - self._speed[1])
         self._speed = vx_m_s, vy_m_s
-        if self.phase is StudyPhase.START:
+        if not reading.present or reading.error:
+            self._void(f"The joystick stopped ({reading.error or 'it is gone'}): begin again.")
+            self._rest_ns = 0
+        elif self.phase is StudyPhase.START:
             start = self.trial.start_m
             near = hypot(x_m - start[0], y_m - start[1]) <= START_M
             self._rest_ns = self._rest_ns + NS_PER_MS if near and reading.dead_man else 0
@@ -252,7 +291,8 @@ class StudyTrials:
             self._attempts += bool(why)
             self._rest_ns = 0
             self.trial = StudyTrial(self._trials[self._index])
-            self._device.joystick.virtual_kg = self.trial.planned.condition.inertia_kg
+            if isinstance(self._device, Mechanics):
+                self._device.joystick.virtual_kg = self.trial.planned.condition.inertia_kg
 
     def _said(self) -> tuple[str, tuple[str, ...], str, str]:
         """Title, words, and the two buttons of the screen."""
@@ -272,10 +312,10 @@ class StudyTrials:
         if phase is StudyPhase.READ:
             count = f"Trials for practice: {plan.practice}; that count: {plan.trials}. "
             count += "The handle may feel different from before."
-            return title, (task.words, _HOW, count), "Begin", ""
+            return title, (task.words, self._how, count), "Begin", ""
         title += f", {'trial' if planned.counts else 'practice'} {planned.repetition}"
         if phase is StudyPhase.START:
-            return title, (f"Bring the dot into the ring, and rest there. {_HOW}",), "", ""
+            return title, (f"Bring the dot into the ring, and rest there. {self._how}",), "", ""
         return title, (task.words,), "", ""
 
 

@@ -5,7 +5,7 @@ import select
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -134,6 +134,7 @@ class SequenceRunner:
     """Runs single steps for `kontur-av maintain`.
 
     command: the words before those of a step. say: shows a line. watch: the session, if one runs.
+    of_session: commands that act on a session: they get its name, unless the step has one.
     """
 
     def __init__(
@@ -144,9 +145,11 @@ class SequenceRunner:
         command: Sequence[str],
         say: Callable[[str], None],
         watch: SessionWatch | None,
+        of_session: Collection[str] = (),
     ) -> None:
         self._sequence, self._log = sequence, log
         self._command, self._say = command, say
+        self._of_session = of_session
         self._watch = watch
         self._contact: bool | None = None
 
@@ -222,9 +225,19 @@ class SequenceRunner:
                 return 1
             time.sleep(_LOOK_S)
 
+    def words_of(self, step: ScriptStep) -> list[str]:
+        """The command of a step, with the name of the session that it acts on."""
+        words = list(step.words)
+        named = any(word == "--session" or word.startswith("--session=") for word in words)
+        if self._watch is not None and words[0] in self._of_session and not named:
+            # Ahead of `--`, behind which nothing is an option.
+            at = words.index("--") if "--" in words else len(words)
+            words[at:at] = ["--session", self._watch.name]
+        return words
+
     def _run_command(self, step: ScriptStep) -> int:
         with subprocess.Popen(
-            [*self._command, *step.words],
+            [*self._command, *self.words_of(step)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -18,6 +18,7 @@ from mujoco_robot.messages import (
     PHYSICS,
     STATE,
     own_socket,
+    reading_of,
     session_directory,
 )
 from telepresence import RobotCapabilities, RobotReading
@@ -89,8 +90,7 @@ class _Arm:
     def read(self) -> RobotReading:
         with suppress(BlockingIOError):
             while True:
-                *moves, contact, holds = STATE.unpack(self._udp.recv(STATE.size))
-                self._reading = RobotReading(*moves, contact=contact, holds=holds)
+                self._reading = reading_of(self._udp.recv(STATE.size))
                 self._silent = 0
         if self._silent > _LOST:
             return self._reading._replace(error="the physics has ended, and is started again")

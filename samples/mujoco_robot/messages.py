@@ -7,16 +7,26 @@ import tempfile
 from pathlib import Path
 
 from kontur_av import ConfigError
+from telepresence import JointReading, RobotReading
 
 #: Of a driver: what it does, the time since its last order (ms), and the force at the tip (N, N).
 ORDER = struct.Struct("=BBdd")
 #: A driver that was late for longer misses the rest; the physics has braked its arm by then.
 MOST_MS = 20
 BRAKE, FOLLOW, GOOD_BYE, SHOW = range(4)
-#: For a driver: tip (m), velocity (m/s), force of the surroundings (N); contact; holds the ball.
-STATE = struct.Struct("=6d??")
+JOINTS = 7
+#: For a driver: tip (m), velocity (m/s), force of the surroundings (N); angles (rad) and torques
+#: (N m) of the joints; contact; holds the ball.
+STATE = struct.Struct(f"=6d{2 * JOINTS}d??")
 #: The socket of the physics; each driver and camera has one beside it.
 PHYSICS = "physics"
+
+
+def reading_of(octets: bytes) -> RobotReading:
+    """Return what a `STATE` says."""
+    *values, contact, holds = STATE.unpack(octets)
+    joints = tuple(map(JointReading, values[6 : 6 + JOINTS], values[6 + JOINTS :]))
+    return RobotReading(*values[:6], contact=contact, holds=holds, joints=joints)
 
 
 def session_directory() -> Path:

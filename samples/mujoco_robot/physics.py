@@ -25,6 +25,7 @@ from mujoco_robot.messages import (
     BRAKE,
     FOLLOW,
     GOOD_BYE,
+    JOINTS,
     MOST_MS,
     ORDER,
     PHYSICS,
@@ -41,8 +42,9 @@ _POSTURE, _POSTURE_S = 4.0, 1.0
 _BRAKE_N_M, _BRAKE_N_S_M, _BRAKE_MOST_N = 4000.0, 200.0, 80.0
 _REST_M_S = 0.002
 _GRIP_N, _OPEN_N = -8.0, 4.0
-#: A ball nearer than this to the tip is gripped; one that was given is not taken back within this.
-_NEAR_M, _AWAY_M = 0.015, 0.07
+#: A ball nearer than this to the tip is gripped. One that was given is taken back once it was
+#: farther away than that, or after so many steps.
+_NEAR_M, _AWAY_M, _BACK = 0.015, 0.04, 5000
 #: A ball lower than this fell; it comes back to its stand.
 _FALLEN_M = 0.8
 #: Less than this is no contact (N): the weight of the ball that is held is 0.8 N.
@@ -56,8 +58,9 @@ class Arm:
         self._model, self._data = model, data
         self._site = model.site(f"{side}_tip").id
         first = int(model.joint(f"{side}_j1").dofadr[0])
-        self.joints = joints = slice(first, first + 7)
+        self.joints = joints = slice(first, first + JOINTS)
         self._places, self._speeds = data.qpos[joints], data.qvel[joints]
+        self._motors, self._compensation = data.qfrc_actuator[joints], data.qfrc_applied[joints]
         self._x, self._y = (model.actuator(f"{side}_{axis}").id for axis in "xy")
         self._grips = [model.actuator(f"{side}_finger_{k}").id for k in "ab"]
         self._parts = [model.body(f"{side}_{part}").id for part in ("hand", "finger_a", "finger_b")]
@@ -65,7 +68,7 @@ class Arm:
         self._solved = np.zeros((6, model.nv))
         self._home = self._places.copy()
         self._stays: tuple[float, float] | None = None
-        self._holds = self._gave = False
+        self._holds, self._gave = False, 0
         self._kind, self._force_n, self.heard_ns = BRAKE, (0.0, 0.0), -_GONE_NS
         self._passed_ms = 0
 
@@ -131,9 +134,9 @@ class Arm:
         """
         apart_m = dist(ball_m, self._data.site_xpos[self._site])
         if self._holds and (other._holds or apart_m > _AWAY_M):
-            self._holds, self._gave = False, True
+            self._holds, self._gave = False, _BACK
         elif self._gave:
-            self._gave = apart_m < _AWAY_M
+            self._gave = self._gave - 1 if apart_m < _AWAY_M else 0
         elif apart_m < _NEAR_M:
             self._holds = True
 
@@ -143,7 +146,9 @@ class Arm:
         # The forces of contacts with the hand and its fingers; those between them cancel.
         _, y_world_n, z_world_n = self._data.cfrc_ext[self._parts, 3:].sum(axis=0).tolist()
         touches = abs(y_world_n) + abs(z_world_n) > _TOUCH_N
-        return STATE.pack(*self._moves(), -y_world_n, z_world_n, touches, self._holds)
+        joints = *self._places.tolist(), *(self._motors + self._compensation).tolist()
+        force_n = -y_world_n, z_world_n
+        return STATE.pack(*self._moves(), *force_n, *joints, touches, self._holds)
 
 
 def _braked(force_n: float) -> float:

@@ -1,7 +1,7 @@
 """Who drives what: the robot's haptic port one joystick, and the joystick one robot; never two.
 
 Stelzer et al. 2017, section 7: a gateway application lets the partner institute steer the robot in
-the place of the ISS. Here that is one explicit state at the robot; docs/rtc.md has its rules. In
+the place of the ISS. Here that is one explicit state at the robot; docs/webrtc.md has its rules. In
 each cycle: ask `takes` for each datagram, then call `handle_robot`.
 
 In the partner institute's experiments the data goes directly between space and its own task board.
@@ -16,12 +16,20 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.metrics import Newest
 from telepresence.haptics.axes import may_be_sample
-from telepresence.haptics.sample import FLAG_FEEDBACK, SAMPLE_OCTETS, is_greeting, read_greeting
+from telepresence.haptics.sample import (
+    FLAG_FEEDBACK,
+    SAMPLE_OCTETS,
+    is_greeting,
+    read_command,
+    read_feedback,
+    read_greeting,
+)
 
 #: The tip rests for this long before the port changes hands.
 REST_NS = 300 * NS_PER_MS
@@ -48,7 +56,7 @@ class AuthorityEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuthorityMetrics:
-    """Who drives the robot, where a partner may, too (docs/rtc.md)."""
+    """Who drives the robot, where a partner may, too (docs/webrtc.md)."""
 
     #: `operator` or `partner`; null: nobody.
     authority: Newest[Authority] | None
@@ -136,6 +144,22 @@ class ControlAuthority:
 _SILENT_NS = 500 * NS_PER_MS
 
 
+class PartnerSeen(NamedTuple):
+    """The partner's robot while the joystick drives it.
+
+    x_m, y_m: where the joystick wants it; its samples do not say where it is. fx_n, fy_n: the force
+    of its surroundings. age_ns: of its newest sample.
+    """
+
+    x_m: float
+    y_m: float
+    fx_n: float
+    fy_n: float
+    contact: bool
+    dead_man: bool
+    age_ns: int
+
+
 class PartnerBoard:
     """Call `handle_joystick` and `handle_partner` for each datagram, then the two `poll_`.
 
@@ -148,6 +172,8 @@ class PartnerBoard:
         self._heard_ns: int | None = None
         self._to_partner: bytes | None = None
         self._to_joystick: bytes | None = None
+        #: The newest samples of both, while the partner's robot is driven.
+        self._wanted = self._felt = b""
 
     @property
     def left_out(self) -> bool:
@@ -157,8 +183,9 @@ class PartnerBoard:
     def handle_joystick(self, data: bytes, now_ns: int) -> bool:
         """A datagram of the joystick in space came; return whether it is for our robot."""
         ownership = self.ownership
-        # Behind these octets are zeros, one axis after the other.
-        if is_greeting(head := data[:SAMPLE_OCTETS]):
+        # More axes stand behind these octets.
+        head = data[:SAMPLE_OCTETS]
+        if is_greeting(head):
             try:
                 partner = read_greeting(head, feedback=False).partner
             except ProtocolError:
@@ -167,7 +194,10 @@ class PartnerBoard:
             ownership.handle_order(Authority.PARTNER if partner else Authority.OPERATOR, now_ns)
         if ownership.authority is Authority.PARTNER:
             self._to_partner = data
+            if not is_greeting(head):
+                self._wanted = head
             return False
+        self._wanted = self._felt = b""
         return ownership.takes(Authority.OPERATOR)
 
     def handle_partner(self, data: bytes, now_ns: int) -> None:
@@ -177,11 +207,32 @@ class PartnerBoard:
             return
         self._heard_ns = now_ns
         if self.ownership.authority is Authority.PARTNER:
-            self._to_joystick = data
+            self._to_joystick, head = data, data[:SAMPLE_OCTETS]
+            if not is_greeting(head):
+                self._felt = head
 
     def is_there(self, now_ns: int) -> bool:
         """Whether the partner's robot is heard."""
         return self._heard_ns is not None and now_ns - self._heard_ns <= _SILENT_NS
+
+    def seen(self, now_ns: int) -> PartnerSeen | None:
+        """What samples say of the partner's robot; None while it is not driven or not heard."""
+        if self.state(now_ns) != "driven" or self._heard_ns is None:
+            return None
+        try:
+            *_, wanted = read_command(self._wanted)
+            *_, felt = read_feedback(self._felt)
+        except ProtocolError:
+            return None
+        return PartnerSeen(
+            x_m=wanted.x_m,
+            y_m=wanted.y_m,
+            fx_n=felt.fx_n,
+            fy_n=felt.fy_n,
+            contact=felt.contact,
+            dead_man=wanted.dead_man,
+            age_ns=now_ns - self._heard_ns,
+        )
 
     def state(self, now_ns: int) -> str:
         """The partner's robot in a word, as telemetry has it."""

@@ -1,7 +1,7 @@
 """More axes than x and y: the third direction, three rotations, a gripper, a robot's own.
 
 Each of them is a port of its own: it has its own controllers, its own energies, and its own record
-behind the 12 octets of a sample (docs/haptics-sample.md).
+behind the 12 octets of a sample (docs/wire-formats.md).
 
 A rotation counts as the path at a lever of 0.1 m: 200 µrad and 0.2 mN m a count. So energies are
 the same, and one controller serves all. Users see rad and N m (`AxisCapabilities`).
@@ -44,11 +44,13 @@ _NEVER = -32768
 class AxisSettings:
     """What a setup says of an axis behind x and y; its table `[axis.NAME]`.
 
-    kind: of a robot's own axis; the others have theirs.
+    kind: of a robot's own axis, linear or rotary; the others have theirs.
     mode: `position`: the axis follows the handle's. `rate`: the handle's deflection is the axis'
     speed, and the hand feels no force of it.
     scale: way of the robot's axis over that of the handle's, or its speed; below 0 it is turned.
-    half_range, force_limit, speed: m, N, m/s or rad, N m, rad/s; the robot's own, if that is less.
+    half_range: from its middle, in m or rad; the robot's own, if that is less.
+    force_limit: in N or N m; the robot's own, if that is less.
+    speed: in m/s or rad/s; the robot's own, if that is less.
     """
 
     kind: AxisKind | None = None

@@ -1,7 +1,7 @@
 """Perceptual deadband: do not send samples whose difference the operator cannot feel.
 
 A sample is left out while its value lies within a deadband around the value sent last. The
-receiver holds that value. docs/haptics-sample.md has the rules, and why it stays passive.
+receiver holds that value. docs/haptics.md has the rules, and why it stays passive.
 
 Sources: P. Hinterseer, S. Hirche, S. Chaudhuri, E. Steinbach, M. Buss, "Perception-based data
 reduction and transmission of haptic data in telepresence and teleaction systems", IEEE Trans.

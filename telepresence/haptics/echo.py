@@ -1,7 +1,7 @@
 """How old the commands that the robot gets are, without a common clock.
 
 The robot puts a probe in the place of a sample; the joystick returns it in the place of its next
-one. Samples that come after it are younger than the round trip. docs/haptics-sample.md has the
+one. Samples that come after it are younger than the round trip. docs/wire-formats.md has the
 octets.
 """
 

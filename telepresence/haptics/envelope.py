@@ -25,7 +25,7 @@ _CAUGHT_UP_M = 0.002
 class SafetyLimits:
     """Limits of a setup; the defaults are chosen. ValueError for limits that cannot work.
 
-    command_max_age_s: an older newest command is none.
+    command_max_age_s: the robot holds still when the newest command is older.
     hand_max_age_s: a command is too old to move the robot so long after the hand gave it. The
     radio's delay, there and back, comes on top.
     resume_within_s: a drop-out of the commands up to this resumes by itself. A pass has many.
@@ -33,8 +33,10 @@ class SafetyLimits:
     picture_max_age_s: an older picture of the operator is too old. The radio's delay, and what the
     setup grants the stream (`Setup.stale_after_ns`), come on top.
     slow_m_s: speed while the operator's picture is too old.
-    picture_hold_s: the robot holds after so long with such a picture.
-    speed_m_s, force_n, half_width_m, half_height_m: of the reference, in any case.
+    picture_hold_s: after so long with such a picture the robot needs a new press.
+    speed_m_s: of the reference, in any case.
+    force_n: of the motors, in any case.
+    half_width_m, half_height_m: of the workspace, in any case.
     """
 
     command_max_age_s: float = 0.02
@@ -69,20 +71,35 @@ class SafetyLimits:
 
 
 class Hold(StrEnum):
-    """Why the robot holds still; empty: it follows the hand."""
+    """Why the robot holds still; empty: it follows the hand. A comment says what the operator does.
+
+    docs/troubleshooting.md shows these comments.
+    """
 
     NONE = ""
+    #: Release the stop, switch the robot on, then press anew.
     STOPPED = "emergency stop"
+    #: Press the dead-man button, and keep it pressed.
     RELEASED = "the dead-man button is released"
+    #: Wait: the link brings no command. After a longer gap press anew.
     NO_COMMAND = "no command"
+    #: Let the dead-man button go, and press it anew.
     STARTED = "the robot has started"
+    #: Let the dead-man button go, and press it anew.
     JOYSTICK_STARTED = "the joystick has started"
+    #: Wait for contact, then press anew.
     LOST = "the commands were missing"
+    #: Start the joystick, and read the cause of its state in the panel Joystick; then press anew.
     INACTIVE = "the joystick was not in the application"
+    #: Wait until the robot is handed to you, then press anew.
     OWNER = "another owner"
+    #: Switch the robot on, then press anew.
     OFF = "the robot was off"
+    #: Look where the new camera looks, then press anew.
     CAMERA = "another camera"
+    #: Wait until the picture is no more STALE, then press anew.
     PICTURE = "the operator's picture was too old"
+    #: Wait until the path is faster, then press anew.
     AGE = "the commands were too old"
 
 

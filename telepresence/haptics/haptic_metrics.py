@@ -75,7 +75,7 @@ class OperationMetrics:
 
     #: The device's name.
     device: str
-    #: Its state in words (docs/joystick.md).
+    #: Its state in words (docs/operator.md).
     state: str
     #: The reason for the state, or for supervision's last intervention.
     reason: str

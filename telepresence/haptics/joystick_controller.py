@@ -2,7 +2,7 @@
 
 The port is the handle. Its energy in one cycle is the force that the motors hold, times the
 distance that the handle moves. Both are known exactly one cycle later, so the observer is exact in
-sampled time. docs/haptics-controllers.md has the equations.
+sampled time. docs/haptics.md has the equations.
 
 The credit bounds the force as the energy of a spring bounds its force, so nothing is switched, and
 nothing can chatter (J.-P. Kim and J. Ryu, "Robustly stable haptic interaction control using an

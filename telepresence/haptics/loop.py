@@ -11,7 +11,7 @@ from telepresence.haptics.axes import AxisTotals
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
 from telepresence.haptics.echo import EchoProbe, EchoReturn
 from telepresence.haptics.haptic_metrics import SamplesReceived, SamplesSent
-from telepresence.haptics.pacing import FEEDBACK_HZ, Pace, lasts_ns
+from telepresence.haptics.pacing import FEEDBACK_HZ, SamplePace, lasts_ns
 from telepresence.haptics.sample import (
     FLAG_ECHOES,
     FLAG_GREETING,
@@ -96,7 +96,7 @@ class HapticLink(Generic[Out, In]):
         session: JoystickSession | RobotSession,
         *,
         max_age_ns: int = MAX_AGE_NS,
-        deadband: Deadband | Pace | None = None,
+        deadband: Deadband | SamplePace | None = None,
         more: int = 0,
     ) -> None:
         self.max_age_ns = max_age_ns
@@ -330,7 +330,9 @@ def joystick_link(
     command_hz: the rate of commands without force feedback; None: a sample each cycle.
     more: the number of axes behind x and y.
     """
-    band = command_deadband() if deadband else None if command_hz is None else Pace(command_hz)
+    band = (
+        command_deadband() if deadband else None if command_hz is None else SamplePace(command_hz)
+    )
     if command_hz is not None:
         max_age_ns = max(max_age_ns, lasts_ns(FEEDBACK_HZ))
     session = JoystickSession(boot_id)
@@ -348,7 +350,9 @@ def robot_link(
     more: int = 0,
 ) -> HapticLink[Feedback, Command]:
     """Return the robot's end: it sends feedback and receives commands."""
-    band = feedback_deadband() if deadband else None if command_hz is None else Pace(FEEDBACK_HZ)
+    band = (
+        feedback_deadband() if deadband else None if command_hz is None else SamplePace(FEEDBACK_HZ)
+    )
     if command_hz is not None:
         max_age_ns = max(max_age_ns, lasts_ns(command_hz))
     session = RobotSession(boot_id)

@@ -25,7 +25,7 @@ def lasts_ns(rate_hz: int) -> int:
     return round(_LASTS * NS_PER_S / rate_hz)
 
 
-class Pace:
+class SamplePace:
     """Decides for each sample whether to send it, as a `Deadband` does."""
 
     def __init__(self, rate_hz: int) -> None:

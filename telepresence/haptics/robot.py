@@ -54,7 +54,9 @@ class JointReading(NamedTuple):
 class Mark:
     """What stands in a robot's workspace, for maps: a place, or an obstacle with its half sizes.
 
-    Lengths in m, from the middle of the workspace. Raises ConfigError for what is not a number.
+    x_m, y_m: its middle, from the middle of the workspace.
+    half_width_m, half_height_m: of an obstacle.
+    Raises ConfigError for what is not a number.
     """
 
     x_m: float

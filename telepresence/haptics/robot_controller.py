@@ -3,7 +3,7 @@
 A spring and a damper between a reference and the tip give the force on the tip (impedance control:
 N. Hogan, "Impedance Control", J. Dyn. Sys. Meas. Control 107, 1985). The port is the reference: its
 energy is the coordinating force times the distance that the reference moves. It is a passivity
-controller of the admittance type; docs/haptics-controllers.md has the equations.
+controller of the admittance type; docs/haptics.md has the equations.
 """
 
 from dataclasses import dataclass

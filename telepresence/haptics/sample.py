@@ -1,6 +1,6 @@
 """The haptic sample: 12 octets, one every millisecond each way; more with more axes (`axes`).
 
-docs/haptics-sample.md has the octets of samples and greetings, their flags, units and ranges. The
+docs/wire-formats.md has the octets of samples and greetings, their flags, units and ranges. The
 layout is this project's own: the Kontur-2 papers give the size of a sample, not its fields.
 
 Positions and energies are running totals, so any sample makes up for the loss of those before it.

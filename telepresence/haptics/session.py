@@ -3,7 +3,7 @@
 Samples of an earlier start, or replayed ones, must move nothing and grant no energy. So each sample
 bears a session number, and an end uses only samples of its present session. A session begins with
 an exchange in which each end sees a fresh number of its own come back, like the three-way handshake
-of TCP (RFC 9293 section 3.5). docs/haptics-sample.md has its steps.
+of TCP (RFC 9293 section 3.5). docs/wire-formats.md has its steps.
 
 Until then both ends go on with the session before, so a renewed session costs no gap. The joystick
 renews a session before its sequence numbers or energies run out.

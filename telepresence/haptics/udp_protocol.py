@@ -1,6 +1,6 @@
 """The protocol between a session and the controller of a robot or a joystick, by UDP. A core.
 
-docs/robots.md has the octets of its datagrams: big-endian, SI units. Each ends with a code,
+docs/wire-formats.md has the octets of its datagrams: big-endian, SI units. Each ends with a code,
 HMAC-SHA-256 cut to 128 bits (RFC 2104). Its key is the shared one for `HELLO` and `WELCOME`, else
 of `session_keys`. A `UdpSession` has handshake, freshness and counters.
 """

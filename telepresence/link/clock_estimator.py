@@ -9,7 +9,7 @@ The offset is the peer's clock minus this end's. Two kinds of bound are known of
 
 The offset follows a straight line within all bounds; the estimate is the middle of all such lines.
 The tightest bound of each window of 2 s is kept, as in the minimum filter of Mills (RFC 5905,
-section 10), here for each way. docs/two-machines.md says what is assumed.
+section 10), here for each way. docs/wire-formats.md says what is assumed.
 """
 
 from __future__ import annotations

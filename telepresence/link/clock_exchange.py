@@ -25,7 +25,7 @@ _LAYOUT = struct.Struct(">BBHII")
 
 
 class ClockMessage(NamedTuple):
-    """One message (docs/link-format.md). mark: of the peer's message, `message_mark`.
+    """One message (docs/wire-formats.md). mark: of the peer's message, `message_mark`.
 
     part, piece: number of a part, 0 to 3, and its bits, 0 to 31.
     """

@@ -1,8 +1,8 @@
 """The transfer frame: primary header, insert zone, data zone, FECF.
 
 CCSDS 732.0-B-5 (AOS Space Data Link Protocol, Issue 5), clauses 4.1.2 (primary header), 4.1.3
-(insert zone), 4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/link-format.md shows both
-frames and lists the deviations from the standard.
+(insert zone), 4.1.4.2 (M_PDU) and 4.1.6 (frame error control field). docs/wire-formats.md shows
+both frames and lists the deviations from the standard.
 """
 
 import struct
@@ -180,7 +180,7 @@ def _halves(tail: bytes) -> tuple[list[int], list[int]]:
     return high, low
 
 
-# The tag octet begins each piece, unless the piece just continues a packet (docs/link-format.md):
+# The tag octet begins each piece, unless the piece just continues a packet (docs/wire-formats.md):
 # bit 7: the piece's length follows (CLOSED); else the piece fills the zone to its end.
 # bits 6..3: kind: control, or of header_compression; bits 2..0: the flow, or a control code.
 CLOSED = 0x80

@@ -8,7 +8,7 @@ packet depends on the one before, and nothing is acknowledged. No loss can corru
 
 Both ends count frames, so the time since the reference predicts sequence number and timestamp. The
 low bits in a compressed header choose the only value with these bits in a window around it.
-docs/link-format.md has the layouts.
+docs/wire-formats.md has the layouts.
 """
 
 import struct

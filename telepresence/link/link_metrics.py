@@ -221,7 +221,7 @@ class SupervisionMetrics:
     role: str
     #: The number of this end's present start.
     boot_id: Newest[int]
-    #: The state of the link (docs/link.md).
+    #: The state of the link (docs/wire-formats.md).
     state: str
     #: The reason for it.
     why: str

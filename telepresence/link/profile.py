@@ -17,7 +17,7 @@ SUPERVISION_OCTETS = 12
 _IDLE_VCID = 63
 #: Largest pointer that is added to a VCID.
 _LARGEST_VCID_POINTER = 31
-#: The pointer needs the values 0 .. zone - 1, the end, and four more codes (docs/link-format.md).
+#: The pointer needs the values 0 .. zone - 1, the end, and four more codes (docs/wire-formats.md).
 _POINTER_CODES = 4
 _LARGEST_ZONE_OF_VCID_POINTER = _LARGEST_VCID_POINTER - _POINTER_CODES
 _LARGEST_ZONE_OF_MPDU_POINTER = (1 << 11) - 1 - _POINTER_CODES
@@ -38,7 +38,7 @@ class LinkProfile:
     scid, vcid: spacecraft and virtual channel identifier in the primary header (0..255, 0..62; 63
         is for the standard's idle frames).
     pointer_in_vcid: the first header pointer, 0 to 31, is added to `vcid` instead of an M_PDU
-        header (docs/link-format.md gives the reason). Only for insert and packet zones of together
+        header (docs/wire-formats.md gives the reason). Only for insert and packet zones of together
         up to 27 octets, and a `vcid` up to 31.
     repair: what restores lost frames (`telepresence.link.repair`): nothing, idle zones, or while
         loss is reported reserved ones, too.

@@ -2,7 +2,8 @@
 
 The hand moves in minimum-jerk movements to where it wants to be (`telepresence.haptics.hand`). It
 sees the LED panel in the picture that came to it, and corrects its aim a while after it sees a
-miss. It feels the spring by the pull of its own muscles. All parameters are chosen.
+miss. The ball and the partner's hand it seeks where the panel marks them. It feels the spring by
+the pull of its own muscles. All parameters are chosen.
 """
 
 from dataclasses import dataclass
@@ -11,12 +12,12 @@ from random import Random
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.board import LIGHTS_M
-from telepresence.haptics.hand import SOFT_GRIP, Hand, HandModel, Waypoint
+from telepresence.haptics.hand import SOFT_GRIP, TAP_TARGETS, Hand, HandModel, Waypoint
 from telepresence.tasks.definitions import Curve, Pattern
 from telepresence.tasks.panel import PanelView
 from telepresence.tasks.panel_picture import DARK, PanelPicture
 from telepresence.tasks.positions import curve_points
-from telepresence.tmtc.k2aci import PanelMode
+from telepresence.tmtc.k2aci import PanelMode, TaskGoal
 
 #: Between two looks at panel and picture.
 LOOK_NS = 20 * NS_PER_MS
@@ -25,6 +26,10 @@ _PRESS_NS = 120 * NS_PER_MS
 #: The spring's place, before it yields, and how hard it is to be pulled.
 _SPRING_X_M = -0.115
 _PULL_N = 3.0
+#: How far through the partner's hand it pushes.
+_THROUGH_M = 0.03
+#: It approaches the ball, or the hand that takes it, at its height, from beside it.
+_LEVEL_M, _BESIDE_M, _CLEAR_M = 0.012, 0.09, 0.075
 #: How far ahead on a curve the hand aims (points of `CURVE_POINTS`).
 _AHEAD = 3
 #: The farthest that the tip may be behind where the hand aims.
@@ -71,13 +76,18 @@ class Cosmonaut(Hand):
     Call `look` every `LOOK_NS`, and pass `dead_man` on to the joystick.
 
     view: what the panel shows. picture: the LED panel, as it is seen. tip_m: of the robot, as seen.
+    taps: it taps the targets until the panel shows its first task.
 
     pressed: how often the button was pressed.
     """
 
-    def __init__(self, skill: Skill, *, seed: int, model: HandModel = SOFT_GRIP) -> None:
-        super().__init__(model, script=(Waypoint(0.0, 0.0, NS_PER_MS, NS_PER_MS),))
+    def __init__(
+        self, skill: Skill, *, seed: int, model: HandModel = SOFT_GRIP, taps: bool = False
+    ) -> None:
+        still = (Waypoint(0.0, 0.0, NS_PER_MS, NS_PER_MS),)
+        super().__init__(model, script=TAP_TARGETS if taps else still)
         self.skill = skill
+        self._taps = taps
         self._running = self._pressing = False
         self.pressed = 0
         self._pressed_ns = -_PRESS_NS
@@ -102,6 +112,8 @@ class Cosmonaut(Hand):
         self, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float, dt_ns: int
     ) -> tuple[float, float]:
         """Advance by `dt_ns`; return the force (N, N) on a handle at (x_m, y_m)."""
+        if self._taps:
+            return super().force(x_m, y_m, vx_m_s, vy_m_s, dt_ns)
         self._now_ns += dt_ns
         self.buttons = int(self._now_ns - self._pressed_ns < _PRESS_NS)
         self._advance(dt_ns)
@@ -115,11 +127,15 @@ class Cosmonaut(Hand):
     @property
     def dead_man(self) -> bool:
         """Whether it presses the dead-man button."""
+        if self._taps:
+            return self.grip.pressed
         return self._pressing and (self.grip.pressed or not self._running)
 
     def handle_robot(self, heard: bool, waiting: bool, x_m: float, y_m: float) -> None:
         """The robot is heard, or waits for a press; that matters in a run."""
-        if self._running:
+        if self._taps:
+            super().handle_robot(heard, waiting, x_m, y_m)
+        elif self._running:
             self.grip.handle_robot(heard, waiting, self._now_ns)
 
     def look(
@@ -131,6 +147,10 @@ class Cosmonaut(Hand):
     ) -> None:
         """See what is shown, and decide what to do."""
         now_ns = self._now_ns
+        if self._taps:
+            self.see(*tip_m)
+            self._taps = not view.task
+            return
         if view.mode is not self._mode:
             self._mode, self._mode_ns = view.mode, now_ns
         if picture != self._picture:
@@ -161,7 +181,24 @@ class Cosmonaut(Hand):
             self.aim(view.start_m, within_m=0.002, seen_m=handle_m)
         elif mode is PanelMode.RUNNING and now_ns - self._picture_ns >= self.skill.reaction_ns:
             self._apart = tip_m[0] - handle_m[0], tip_m[1] - handle_m[1]
-            self._work(tip_m)
+            if view.goal in (TaskGoal.HANDS, TaskGoal.BALL):
+                if view.target_m is not None:
+                    self._meet(view, view.target_m, tip_m)
+            else:
+                self._work(tip_m)
+
+    def _meet(self, view: PanelView, at_m: tuple[float, float], tip_m: tuple[float, float]) -> None:
+        """Go to the ball or the partner's hand from the right, where both hands' fingers are open;
+        push the hand.
+        """
+        x_m, y_m = at_m
+        if view.goal == TaskGoal.HANDS:
+            x_m -= _THROUGH_M
+        elif abs(tip_m[1] - y_m) > _LEVEL_M:
+            # To the side first, so that neither ball nor fingers hit something on the way up.
+            y_m = tip_m[1] if tip_m[0] < x_m + _CLEAR_M else y_m
+            x_m += _BESIDE_M
+        self.track(self._in_hand((x_m, y_m)), speed_m_s=self.skill.speed_m_s)
 
     def _work(self, tip_m: tuple[float, float]) -> None:
         picture = self._picture

@@ -189,9 +189,14 @@ class Meet(Elemop):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HoldBall(Elemop):
-    """Ends when this hand alone held the ball for `hold_s`."""
+    """Ends when this hand alone held the ball for `hold_s`.
+
+    x_mm, y_mm: where the ball lies while no hand holds it.
+    """
 
     hand: Hands
+    x_mm: float = _within(0.0, -150, 150)
+    y_mm: float = _within(0.0, -100, 100)
     hold_s: float = _within(0.5, 0, 60)
     timeout_s: float = _within(60.0, 0.1, LONGEST_S)
 

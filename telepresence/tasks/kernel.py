@@ -220,14 +220,20 @@ class _HeldCheck(EndCondition):
         super().__init__(elemop, now_ns)
         self._hold_ns = round(elemop.hold_s * NS_PER_S)
         self._since_ns: int | None = None
+        self._place_m: tuple[float, float] | None = None
 
     def fits(self, view: View) -> bool:
         raise NotImplementedError
+
+    def place(self, view: View) -> tuple[float, float] | None:
+        """Where the tip is to go; None while that is not known."""
+        return None
 
     def told(self) -> TaskProgress:
         raise NotImplementedError
 
     def holds(self, view: View, now_ns: int) -> bool:
+        self._place_m = self.place(view)
         if not self.fits(view):
             self._since_ns = None
             return False
@@ -237,7 +243,8 @@ class _HeldCheck(EndCondition):
 
     def progress(self, now_ns: int) -> TaskProgress:
         held_ms = 0 if self._since_ns is None else max(1, (now_ns - self._since_ns) // NS_PER_MS)
-        return replace(self.told(), hold_ms=self._hold_ns // NS_PER_MS, held_ms=held_ms)
+        told = replace(self.told(), hold_ms=self._hold_ns // NS_PER_MS, held_ms=held_ms)
+        return told if self._place_m is None else replace(told, position_um=_near_um(self._place_m))
 
 
 class _ReachCheck(_HeldCheck):
@@ -272,6 +279,9 @@ class _MeetCheck(_HeldCheck):
             and hypot(view.x_m - other.x_m, view.y_m - other.y_m) <= elemop.within_mm / 1e3
         )
 
+    def place(self, view: View) -> tuple[float, float] | None:
+        return _place_of(view.other)
+
     def told(self) -> TaskProgress:
         return _told(TaskGoal.HANDS, force_mn=round(self.elemop.force_n * 1e3))
 
@@ -282,6 +292,13 @@ class _HoldBallCheck(_HeldCheck):
     def fits(self, view: View) -> bool:
         hands = view.holds, view.other is not None and view.other.holds
         return hands == ((True, False) if self.elemop.hand is Hands.ROBOT else (False, True))
+
+    def place(self, view: View) -> tuple[float, float] | None:
+        elemop, other = self.elemop, view.other
+        passes = elemop.hand is Hands.PARTNER and view.holds
+        if passes or (other is not None and other.holds):
+            return _place_of(other)
+        return elemop.x_mm / 1e3, elemop.y_mm / 1e3
 
     def told(self) -> TaskProgress:
         return _told(TaskGoal.BALL)
@@ -348,10 +365,22 @@ def _told(goal: TaskGoal, **values: Any) -> TaskProgress:
     return TaskProgress(run=0, goal=goal, **values)
 
 
+def _place_of(hand: OtherHand | None) -> tuple[float, float] | None:
+    return None if hand is None else (hand.x_m, hand.y_m)
+
+
+def _near_um(position_m: tuple[float, float]) -> tuple[int, int]:
+    """The place to `_NEAR_UM`, because each change is a message; never the (0, 0) of no place."""
+    x_um, y_um = (round(value / _NEAR_UM) * _NEAR_UM for value in _um(position_m))
+    return x_um + 1, y_um
+
+
 def _um(position_m: tuple[float, float]) -> tuple[int, int]:
     return round(position_m[0] * 1e6), round(position_m[1] * 1e6)
 
 
+#: How exactly the panel is told where a hand is that moves.
+_NEAR_UM = 5000
 #: Elemops that the cosmonaut carries out.
 BY_COSMONAUT = (Reach, Pursue, Follow, Pull, Meet, HoldBall, Wait)
 CHECKS: dict[type[Elemop], type[EndCondition]] = {

@@ -51,6 +51,8 @@ _RESULT_WORDS = {
 }
 #: What a goal shows on the board; a spot moves.
 _SPOTS = {TaskGoal.CIRCLE: SpotPath.CIRCLE, TaskGoal.EIGHT: SpotPath.EIGHT}
+#: Goals of two hands; where they are to go may be unknown.
+_HANDS = (TaskGoal.HANDS, TaskGoal.BALL)
 #: The states in which the handle leads from one to the next.
 _AT_HANDLE = (PanelMode.MOVE_TO_START, PanelMode.HOLD, PanelMode.PRESS_DEADMAN)
 #: The states in which a joystick that halts ends the task.
@@ -130,7 +132,7 @@ class MissionPanel:
         target_m: tuple[float, float] | None = None
         if told.goal in _SPOTS:
             target_m = spot_at(_SPOTS[told.goal], since_s * 1e3 / told.turn_ms)
-        elif told.goal is TaskGoal.REACH:
+        elif told.goal is TaskGoal.REACH or (told.goal in _HANDS and any(told.position_um)):
             target_m = told.position_um[0] / 1e6, told.position_um[1] / 1e6
         hold_s = told.hold_ms / 1e3
         return replace(

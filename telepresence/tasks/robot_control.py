@@ -20,7 +20,8 @@ from telepresence.tasks.definitions import MOVING_MODES, ControlMode
 #: A robot within this distance of its goal (m), slower than this (m/s), rests there.
 _REST_M = 0.002
 _REST_M_S = 0.005
-_EXERCISE = "a fault of the trainer's exercise"
+#: A trainee is not told that it is an exercise.
+_EXERCISE = "a drive reports a fault"
 #: A torque that is not repeated ends after this.
 TORQUE_NS = 500 * NS_PER_MS
 

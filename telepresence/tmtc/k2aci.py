@@ -173,10 +173,10 @@ class Chat(_Checked):
 class TaskProgress(_Checked):
     """To the panel: what has to be done now, and how far it is. Sent at each change.
 
-    step, steps: this goal is one of so many. position_um: of what is to be reached, or of the hand
-    that is to be met. percent: of a curve. force_mn: with which to pull. turn_ms: of the spot.
-    hold_ms: how long the condition must hold; held_ms: how long it has, 0 while it does not.
-    left_ms: until the run ends. Of what a goal does not have, 0.
+    step, steps: this goal is one of so many. position_um: of what is to be reached, of the hand
+    that is to be met, or of the ball. percent: of a curve. force_mn: with which to pull or push.
+    turn_ms: of the spot. hold_ms: how long the condition must hold; held_ms: how long it has, 0
+    while it does not. left_ms: until the run ends. Of what a goal does not have, 0.
     """
 
     run: int

@@ -108,7 +108,7 @@ class TelemetrySource:
     beside the robot. There its methods may block. Meanwhile its values grow old: after 5 s they
     are reported no more. An exception of `read` or `set` ends that process, which begins anew with
     `configure`. After three in a row it is given up, but for a ConfigError. Those of `call` and
-    `handle_event` are counted.
+    `handle_event` and `handle_data` are counted.
 
     name: of its application; letters, digits and underscores, at most 32. text: what it is.
     """
@@ -138,6 +138,12 @@ class TelemetrySource:
 
     def handle_event(self, event: EventReport) -> Iterable[FunctionCall] | None:
         """Return what follows from an event of any application, at either end."""
+        return ()
+
+    def handle_data(
+        self, application: str, values: Mapping[str, Value]
+    ) -> Iterable[FunctionCall] | None:
+        """Take data of an application that a route sends here; return what follows from them."""
         return ()
 
     def close(self) -> None:
@@ -183,7 +189,7 @@ def load_components(specs: Sequence[str], dictionary: Dictionary) -> tuple[Compo
             # The user's own class has something of another type.
             raise ConfigError(f"{spec!r} cannot be a component: {error}") from error
     with_components(dictionary, found)
-    rate_bps = sum(_housekeeping_bps(one.application) for one in found)
+    rate_bps = sum(housekeeping_bps(one.application) for one in found)
     if rate_bps > MOST_HOUSEKEEPING_BPS:
         raise ConfigError(
             f"the reports of all components take {rate_bps:.0f} bit/s of "
@@ -284,7 +290,7 @@ def _monitors(parameters: Sequence[TelemetryParameter]) -> Iterable[Monitor]:
         )
 
 
-def _housekeeping_bps(table: Application) -> float:
+def housekeeping_bps(table: Application) -> float:
     """What the periodic reports of a component take of the link."""
     head = MAX_PACKET_OCTETS - MAX_REPORT_OCTETS + 1
     return sum(

@@ -110,7 +110,7 @@ SERIOUS = """
       .map(({ id, nodes }) => `${id}: ${nodes.map(({ html }) => html).join(" ")}`);
 """
 TABS = "return [...document.querySelectorAll('[role=tab]')].map(({ id }) => id)"
-REASON = "the robot has a fault: a fault of the trainer's exercise"
+REASON = "the robot has a fault: a drive reports a fault"
 STUDY = StudyPlan(
     name="handle",
     consent="I take part of my own will. I may stop whenever I like, and nobody asks me why.",

@@ -1,4 +1,4 @@
-"""Invariants of a sender, checked by a reader written from docs/link-format.md alone.
+"""Invariants of a sender, checked by a reader written from docs/wire-formats.md alone.
 
 In each frame the levels of the pieces only fall. A piece of a lower level follows only after all
 packets of higher levels that waited when the frame began. There is no fill while anything waits.

@@ -5,6 +5,7 @@ from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.session.setup.segments import Segment
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.routes import with_routes
 from telepresence.tmtc.telemetry_source import (
     Component,
     FunctionCall,
@@ -50,6 +51,7 @@ class Battery(TelemetrySource):
         self.answer = None
         self.settings = []
         self.heard = []
+        self.data = []
         self.follows = lambda event: ()
 
     def read(self):
@@ -64,6 +66,9 @@ class Battery(TelemetrySource):
         if isinstance(self.answer, Exception):
             raise self.answer
         return self.answer
+
+    def handle_data(self, application, values):
+        self.data.append((application, dict(values)))
 
     def handle_event(self, event):
         self.heard.append((event.application, event.event, dict(event.values)))
@@ -82,12 +87,13 @@ class Mission:
     taken: whether the end takes what the component asks for. told: news of both ends.
     """
 
-    def __init__(self, source=None, settings=None):
+    def __init__(self, source=None, settings=None, routes=()):
         self.battery = source or Battery()
         self.table = application_of(self.battery, 0x140)
         known = built_in_dictionary()
-        self.dictionary = with_components(known, [Component("tests:Battery", self.table)])
-        boot_id = {"now_ns": 0, "first_count": 1, "boot_id": 1}
+        known = with_components(known, [Component("tests:Battery", self.table)])
+        self.dictionary, self.routes = with_routes(known, routes, ["battery"]), routes
+        boot_id = {"now_ns": 0, "first_count": 1, "boot_id": 1, "routes": routes}
         self.ends = {one: TmtcEnd(one, self.dictionary, **boot_id) for one in Segment}
         self.now_ns, self.taken, self.number = 0, True, 0
         self.told = []
@@ -97,7 +103,8 @@ class Mission:
     def restart(self, settings):
         """Its process begins a new start."""
         boot_id = {"now_ns": self.now_ns, "client": f"battery {self.now_ns}"}
-        self.service = ComponentService(self.battery, self.table, settings=settings, **boot_id)
+        boot_id |= {"settings": settings, "routes": self.routes}
+        self.service = ComponentService(self.battery, self.table, **boot_id)
 
     def ask(self, verb, name="", *arguments, application="battery", **more):
         """A telecommand from space; return its end once it is there."""

@@ -21,6 +21,7 @@ from pipelines.hand.haptic_trace import flags_of
 from pipelines.recording.channels import channels_of
 from pipelines.recording.mcap_stream import McapStream
 from pipelines.recording.metadata import LIBRARY, METADATA, RecordingMetadata
+from pipelines.recording.packet_words import PacketWords
 from pipelines.recording.recorded_messages import (
     NO_SAMPLE,
     SAMPLE,
@@ -42,10 +43,10 @@ from pipelines.recording.recorded_messages import (
     UnitMetadata,
     pack,
     pack_haptics,
-    packet_words,
 )
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
 
 MS = 1_000_000
@@ -53,6 +54,7 @@ S = 1000 * MS
 BEGIN_NS = 5_000 * S
 WALL_OFFSET_NS = 1_800_000_000 * S - BEGIN_NS
 WIDTH, HEIGHT = 320, 240
+WORDS = PacketWords(built_in_dictionary())
 SETUP_TOML = """\
 name = "spacejustin"
 cameras = ["stereo", "static", "head"]
@@ -373,7 +375,7 @@ def command_messages(seconds, contacts):
 
 
 def packet(topic, at_ns, sequence, data):
-    value = RecordedPacket(session_ns=at_ns, data=data, what=packet_words(data))
+    value = RecordedPacket(session_ns=at_ns, data=data, what=WORDS.of(data))
     return told(topic, at_ns, sequence, pack(value))
 
 

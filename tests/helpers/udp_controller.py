@@ -1,4 +1,4 @@
-"""A controller by UDP in Python, written from docs/robots.md alone, and a line to it in memory."""
+"""A controller by UDP in Python, written from docs/wire-formats.md alone, and a line to it."""
 
 import hmac
 import struct

@@ -64,7 +64,7 @@ SHELLS = {
         "recording_file replay_setup"
     ),
     "pipelines/recording/export": "films lerobot table_files",
-    "pipelines/report": "charts live process_metrics report_file session_feed",
+    "pipelines/report": "charts live process_metrics report_file schema session_feed",
     "pipelines/seats": "process_page seat_sockets seat_topics upkeep_watch",
     "pipelines/session": (
         "command_process datagrams kept_files launcher machine_checks option_rows options "
@@ -151,7 +151,7 @@ LIBRARIES = {
     "tarfile": "telepresence/upkeep/inbox.py",
     "threading": "kontur_av/codecs/colours.py",
     "warnings": "kontur_av/codecs/libopus.py kontur_av/lazy.py",
-    "xml": "telepresence/tasks/reader.py telepresence/tmtc/pus/xtce",
+    "xml": ("telepresence/tasks/reader.py telepresence/tmtc/pus/xtce telepresence/tmtc/routes.py"),
     "zstandard": "kontur_av/sources/recorded_format.py pipelines/recording/",
 }
 

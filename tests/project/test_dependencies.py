@@ -16,3 +16,9 @@ RUNTIME = [Requirement(text) for text in PROJECT["dependencies"]]
 def test_a_runtime_dependency_has_both_bounds_and_is_within_them(required):
     assert {one.operator for one in required.specifier} == {">=", "<"}, required
     assert required.specifier.contains(version(required.name))
+
+
+@pytest.mark.parametrize("required", RUNTIME, ids=lambda one: one.name)
+def test_a_runtime_dependency_has_its_reason_above_it(required):
+    before = (ROOT / "pyproject.toml").read_text().partition(f'    "{required.name}>=')[0]
+    assert before.splitlines()[-1].startswith("    # ")

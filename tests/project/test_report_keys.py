@@ -1,9 +1,9 @@
-"""The tables of a report's keys are made from its types."""
+"""A report's schema and the list of its keys are made from its types."""
 
 import msgspec
-from report_keys import comments, keys_tables
+from report_keys import report_keys
 
-from pipelines.report.model import SessionReport
+from pipelines.report.schema import comments, schema_of
 from pipelines.session.session_metrics import Report
 
 
@@ -31,13 +31,13 @@ class Heir(Part, frozen=True, kw_only=True):
     other: int
 
 
-def test_each_type_has_a_list_with_types_and_comments_also_those_of_its_base():
-    whole, part = keys_tables(Whole).split("\n\n**")
-    assert "- `parts` (Part or null, by name): Each one." in whole
-    assert "\n- `rate_bps_mean`" in whole
-    assert "- `p99.9` (number): How late, at most.\n" in part
-    assert "\n- `count`?\n" in part
+def test_the_schema_has_types_and_comments_also_those_of_a_base():
+    defs = schema_of(Whole)["$defs"]
+    assert defs["Whole"]["properties"]["parts"]["description"] == "Each one."
+    assert defs["Whole"]["required"] == ["parts", "rate_bps_mean"]
+    part = defs["Part"]
+    assert part["properties"]["p99.9"] == {"description": "How late, at most.", "type": "number"}
+    assert part["properties"]["count"] == {"type": "integer"}
+    assert part["required"] == ["p99.9"]
     assert comments(Heir) == {"late_ms": "How late, at most.", "count": "", "other": "Another one."}
-    text = keys_tables(SessionReport)
-    assert "**SessionReport**: The report of" in text
-    assert "**: \n" not in text
+    assert "- `failures`: What broke" in report_keys()

@@ -45,6 +45,10 @@ def test_files_go_both_ways_across_a_loss_of_signal(session, ends):
     assert (down.end(), up.end()) == (0, 0), (down.said(), up.said())
     assert (ground / "kept" / "down.bin").read_bytes() == DOWN
     assert (space / "up.bin").read_bytes() == UP
+    listing = session.ask("file", "list", "log").stdout
+    name = f"log/{listing.split()[-1]}"
+    assert session.ask("file", "get", name).returncode == 0, listing
+    assert " begins: " in (ground / name).read_text()
 
 
 def test_a_transfer_is_cancelled_by_ctrl_c_or_by_its_number(session, ends):

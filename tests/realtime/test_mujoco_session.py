@@ -6,8 +6,12 @@ import signal
 from pathlib import Path
 
 import pytest
+from programs import running
 from robot_tip import Tip
-from running_session import eventually
+from running_session import COMMAND, eventually
+
+from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
+from pipelines.session.topic_ends import TopicReader
 
 pytest.importorskip("mujoco", reason="mujoco: pip install mujoco")
 
@@ -54,6 +58,35 @@ def test_an_arm_is_driven_seen_and_outlives_its_physics(start, tmp_path, monkeyp
     assert report["streams"]["uplink_video"]["frames_displayed"] > 0
     assert not any(one["restarts"] for one in report["processes"].values())
     eventually(lambda: not Path(f"/proc/{physics}").exists() or None, "the end of the physics")
+
+
+def test_a_simulated_cosmonaut_pushes_the_partners_hand_and_gives_it_the_ball(
+    start, tmp_path, monkeypatch
+):
+    shutil.copytree(SAMPLES / "mujoco_robot", tmp_path / "mujoco_robot")
+    arms = ("--robot", "mujoco_robot:SpaceJustin", "--second-robot", "mujoco_robot:LeftArm")
+    session = start('partner_arm = "second"' + LAB, "--tasks", *arms)
+    session.wait_for_flow()
+    drive = (*COMMAND, "joystick", "drive", "--base-port", str(session.base_port))
+    partner = running(tmp_path / "partner.txt", *drive, end=signal.SIGKILL, env=session.environment)
+    with partner, session.bus(monkeypatch) as bus:
+        ground = TopicReader(bus, MISSION_GROUND_TOPIC)
+
+        def finished(task):
+            if (shown := ground.latest()) is None:
+                return False
+            done = any((run.task, run.result) == (task, "finished") for run in shown.runs)
+            if not done and shown.phase == "idle":
+                # A late machine may have ended the run before with a fault.
+                session.ask("tc", "robot", "reset_error")
+                session.ask("task", "select", task)
+            return done
+
+        for task in ("handshake", "ball"):
+            eventually(lambda task=task: finished(task), f"the end of {task}", timeout_s=180)
+        joints = TopicReader(bus, ROBOT_STATUS_TOPIC)
+        assert len(eventually(joints.latest, "the robot's state").joints) == 7
+    session.interrupt()
 
 
 def test_a_strangers_arm_runs_a_session(start, tmp_path):

@@ -96,7 +96,7 @@ def test_an_upgrade_brings_the_new_version(first_run, place, shell):
     text = project.read_text(encoding="utf-8")
     project.write_text(re.sub(r"^version = .*$", 'version = "9.9.9"', text, flags=re.MULTILINE))
     git("commit", "-q", "-a", "-m", "Next", cwd=place / "origin")
-    shell(block_after("docs/operating.md", "## Upgrade and uninstall"))
+    shell(block_after("docs/install.md", "## Upgrade and uninstall"))
     assert "9.9.9" in shell(".venv/bin/pip show kontur-av")
     shell(".venv/bin/kontur-av doctor")
 

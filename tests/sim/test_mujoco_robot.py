@@ -8,7 +8,6 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS, ManualClock
 from pipelines.hand.driver_checks import RobotCheck
-from telepresence.haptics.robot_device import RobotReading
 from telepresence.tasks.definitions import Operation
 from telepresence.tasks.kernel import TICK_NS, OperationEnded, OtherHand, TopKernel, View
 from telepresence.tasks.panel_picture import DARK
@@ -20,7 +19,7 @@ pytest.importorskip("mujoco")
 sys.path.append(str(Path(__file__).resolve().parents[2] / "samples"))
 
 from mujoco_robot import LeftArm, SpaceJustin
-from mujoco_robot.messages import BRAKE, FOLLOW, STATE
+from mujoco_robot.messages import BRAKE, FOLLOW, reading_of
 from mujoco_robot.physics import World
 
 #: A hand that leads a tip (N/m, N s/m, N).
@@ -36,8 +35,7 @@ class Bench:
         self.step()
 
     def read(self, side):
-        *moves, contact, holds = STATE.unpack(self.world.arms[side].state)
-        return RobotReading(*moves, contact=contact, holds=holds)
+        return reading_of(self.world.arms[side].state)
 
     def force(self, side):
         one, (x_m, y_m) = self.read(side), self.places[side]

@@ -1,5 +1,6 @@
 """The summary of a session: it fits the terminal, and shows the stages of the picture."""
 
+import json
 import re
 from collections import Counter
 from dataclasses import replace
@@ -116,3 +117,12 @@ def test_a_report_is_shown_again_and_a_file_that_is_none_is_refused(report, tmp_
     assert main(["report", str(path), "--html"]) == 2
     assert "no report of a session" in capsys.readouterr().err
     assert not (tmp_path / "r.html").exists()
+
+
+@pytest.mark.parametrize("with_error", [False, True])
+def test_a_report_is_as_its_schema_says(report, capsys, with_error):
+    schema = pytest.importorskip("jsonschema", reason="pip install -e '.[dev]'")
+    assert main(["report", "--schema"]) == 0
+    validator = schema.Draft202012Validator(json.loads(capsys.readouterr().out))
+    found = json.loads(to_json(report)) | ({"secnds": 1} if with_error else {})
+    assert validator.is_valid(found) is not with_error

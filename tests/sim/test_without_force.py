@@ -8,7 +8,7 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
-from telepresence.haptics.pacing import Pace
+from telepresence.haptics.pacing import SamplePace
 from telepresence.haptics.sample import Command
 
 SETUP = {
@@ -40,7 +40,7 @@ def test_it_needs_a_rate_and_a_hand_that_feels_nothing():
 
 
 def test_a_flag_does_not_wait_for_its_turn_and_nothing_floods_the_link():
-    pace, sent = Pace(50), []
+    pace, sent = SamplePace(50), []
     for ms in range(1000):
         # The dead-man button goes down after 311 ms, and trembles from 600 ms on.
         held = 311 <= ms < 600 or (ms >= 600 and ms % 2 == 0)

@@ -1,4 +1,4 @@
-"""Transfer frames of a sender octet by octet, written by hand from docs/link-format.md."""
+"""Transfer frames of a sender octet by octet, written by hand from docs/wire-formats.md."""
 
 from binascii import crc_hqx
 

@@ -26,6 +26,7 @@ from pipelines.recording.recorded_messages import (
     RecordedLeds,
     RecordedMetrics,
     RecordedPacket,
+    RecordedPanel,
     RecordedPicture,
     RecordedSound,
     RecorderLosses,
@@ -84,6 +85,22 @@ VECTORS = [
             ended_run=1,
             result="aborted",
             reason="no",
+        ),
+    ),
+    (
+        # 2: "hold" | 3: "line" | 4: 2 | 5: "no" | 6: "reach" | 7: 1 | 8: 4 | 9: True
+        "0801 | 1204 686f6c64 | 1a04 6c696e65 | 2002 | 2a02 6e6f | 3205 7265616368 | 3801 | 4004"
+        "| 4801",
+        RecordedPanel(
+            session_ns=1,
+            mode="hold",
+            task="line",
+            run=2,
+            words="no",
+            goal="reach",
+            step=1,
+            steps=4,
+            dead_man=True,
         ),
     ),
     (

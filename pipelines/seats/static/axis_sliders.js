@@ -1,7 +1,7 @@
 /**
  * The axes behind x and y: a slider each, which shows where the axis is and moves it.
  *
- * Holding a slider is a press of the dead-man switch, as holding the map is. While something else
+ * Holding a slider is a press of the dead-man button, as holding the map is. While something else
  * presses, sliders and keys move their axis, too.
  *
  * @import { HandControl } from "./hand_control.js"

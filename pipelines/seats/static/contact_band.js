@@ -9,7 +9,7 @@ import { make, setText } from "./dom.js";
 import { paint } from "./palette.js";
 import { SharpCanvas } from "./sharp_canvas.js";
 import { CONNECTED, NO_SIGNAL, SIGNAL, SignalHistory, STEP_US } from "./signal_history.js";
-import { clockText } from "./wording.js";
+import { clockText, linkObstacle } from "./wording.js";
 
 const SHOWN_S = 120;
 const STEPS = (SHOWN_S * 1e6) / STEP_US;
@@ -30,6 +30,7 @@ class ContactBand extends HTMLElement {
   #pass = make("div", { class: "pass", role: "img", hidden: true });
   #usable = make("i", { class: "pass-usable" });
   #now = make("i", { class: "pass-now" });
+  #obstacle = make("p", { class: "small", role: "alert", "data-level": "bad", hidden: true });
 
   /** @param {Seat} seat */
   follow({ connection, figures }) {
@@ -39,6 +40,7 @@ class ContactBand extends HTMLElement {
     this.#pass.append(this.#usable, this.#now);
     this.append(
       make("header", {}, make("h2", {}, "Contact"), this.#words),
+      this.#obstacle,
       canvas,
       make("p", { class: "time-axis" }, make("span", {}, "2 min ago"), make("span", {}, "now")),
       this.#pass,
@@ -56,6 +58,9 @@ class ContactBand extends HTMLElement {
 
   /** @param {FigureBinding} figures */
   #showPass(figures) {
+    const obstacle = linkObstacle(figures);
+    this.#obstacle.hidden = obstacle === "";
+    setText(this.#obstacle, obstacle);
     const sinceS = figures.number("contact.since_acquisition_s");
     const untilS = figures.number("contact.until_loss_s");
     this.#pass.hidden = sinceS === null || untilS === null;

@@ -2,12 +2,12 @@
  * `<contact-panel>`: signal and state of both ways of the link, delays, the present instant in the
  * pass, and the path to another machine.
  *
- * @import { FigureBinding } from "./figure_binding.js"
  * @import { Seat } from "./seat.js"
  */
 import { make, setText } from "./dom.js";
 import { NOTHING } from "./figure_binding.js";
 import { pathList } from "./path_list.js";
+import { connectedS, linkObstacle } from "./wording.js";
 
 const MS_PER_NS = "0.000001";
 
@@ -16,13 +16,15 @@ class ContactPanel extends HTMLElement {
   #downlink = make("dd");
   #since = make("dd");
   #until = make("dd");
+  #obstacle = make("p", { class: "small", role: "alert", "data-level": "bad", hidden: true });
 
   /** @param {Seat} seat */
   follow(seat) {
-    const { connection, figures } = seat;
+    const { connection } = seat;
     const state = make("span", { class: "small", "data-figure": "gateways.space.supervision.state" });
     this.append(
       make("header", {}, make("h2", {}, "Contact"), state),
+      this.#obstacle,
       make(
         "dl",
         { class: "values" },
@@ -37,17 +39,23 @@ class ContactPanel extends HTMLElement {
       ),
       pathList(seat),
     );
-    const show = () => this.#show(figures, connection.alive);
+    const show = () => this.#show(seat);
     connection.on("figures", show);
     connection.on("lost", show);
     show();
   }
 
-  /** @param {FigureBinding} figures @param {boolean} alive */
-  #show(figures, alive) {
+  /** @param {Seat} seat */
+  #show({ connection, figures }) {
+    const { alive } = connection;
+    const obstacle = alive ? linkObstacle(figures) : "";
+    this.#obstacle.hidden = obstacle === "";
+    setText(this.#obstacle, obstacle);
     showWay(this.#uplink, alive ? figures.get("gateways.space.supervision.signal") : null);
     showWay(this.#downlink, alive ? figures.get("gateways.ground.supervision.signal") : null);
-    const sinceS = figures.number("contact.since_acquisition_s");
+    // Without a pass the link itself says since when it is connected.
+    const linkS = connectedS(figures, "space", connection.nowUs());
+    const sinceS = figures.number("contact.since_acquisition_s") ?? linkS;
     const untilS = figures.number("contact.until_loss_s");
     setText(this.#since, sinceS === null ? "–" : minutes(sinceS));
     setText(this.#until, untilS === null ? "none planned" : minutes(untilS));

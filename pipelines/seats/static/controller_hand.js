@@ -1,6 +1,6 @@
 /**
  * Steers with a game controller (W3C Gamepad, standard mapping): a trigger or shoulder button is
- * the dead-man switch, the left stick is the handle's place, and the motors show the force.
+ * the dead-man button, the left stick is the handle's place, and the motors show the force.
  *
  * @import { HandControl } from "./hand_control.js"
  */

@@ -23,6 +23,7 @@ export function leftS(exercises, { name, camera }, nowUs) {
 
 class ExercisePanel extends HTMLElement {
   #answer = make("p", { class: "small", role: "status" });
+  #reason = make("p", { class: "small", "data-level": "warn", hidden: true });
   #list = make("ol", { class: "tasks exercises" });
   #end = make("button", { type: "button", class: "main", id: "end-exercises" }, "End all");
   /** @type {(() => void)[]} */
@@ -36,7 +37,7 @@ class ExercisePanel extends HTMLElement {
   follow(seat) {
     this.#seat = seat;
     const { connection } = seat;
-    this.append(make("header", {}, make("h2", {}, "What is to go wrong"), this.#end), this.#answer, this.#list);
+    this.append(make("header", {}, make("h2", {}, "What is to go wrong"), this.#end), this.#reason, this.#answer, this.#list);
     this.#end.addEventListener("click", () => void this.#ask("end", 0, ""));
     connection.on("hello", ({ exercises }) => {
       this.#exercises = null;
@@ -64,19 +65,25 @@ class ExercisePanel extends HTMLElement {
       const connection = this.#seat?.connection;
       const left = connection?.alive ? leftS(this.#exercises, one, connection.nowUs()) : 0;
       setText(lasts, left > 0 ? `for ${Math.ceil(left)} s more` : "");
-      button.disabled = time.disabled = !this.#may;
+      button.disabled = time.disabled = this.#why !== "";
+      button.title = this.#why;
     });
     const what = make("span", {}, make("strong", {}, words), make("span", { class: "small quiet" }, text), lasts);
     return make("li", {}, what, time, make("span", { class: "small quiet" }, "s"), button);
   }
 
-  get #may() {
+  /** Why no exercise can be begun here; "" if one can. */
+  get #why() {
     const connection = this.#seat?.connection;
-    return connection?.alive === true && connection.hello?.role === "trainer";
+    if (connection?.alive !== true) return "The server does not answer.";
+    if (connection.hello?.role === "trainer") return "";
+    return "Only the trainer begins exercises: the session's owner finds that seat at Take a seat.";
   }
 
   #show() {
-    this.#end.disabled = !this.#may;
+    this.#end.disabled = this.#why !== "";
+    this.#reason.hidden = this.#why === "" || this.#shows.length === 0;
+    setText(this.#reason, this.#why);
     for (const show of this.#shows) show();
   }
 

@@ -101,7 +101,7 @@ export class HandControl extends EventTarget {
     return holder === null || you ? "" : `${who} has the handle: ask for it`;
   }
 
-  /** Presses the dead-man switch; a free handle is taken. Returns whether the press counts. @param {Source} source */
+  /** Presses the dead-man button; a free handle is taken. Returns whether the press counts. @param {Source} source */
   press(source) {
     if (this.#source !== null) return this.#source === source;
     const why = this.hindrance;

@@ -1,5 +1,5 @@
 /**
- * Steers with keys: Space is the dead-man switch, arrows or WASD move the handle at a constant
+ * Steers with keys: Space is the dead-man button, arrows or WASD move the handle at a constant
  * speed, slower with Shift.
  *
  * @import { HandControl } from "./hand_control.js"
@@ -49,7 +49,7 @@ export function steerByKeys(keyboard, control, halves) {
     {
       keys: ["Space"],
       shown: "Space",
-      what: "hold the handle (the dead-man switch)",
+      what: "hold the handle (the dead-man button)",
       down: () => {
         if (!control.press("keys")) return;
         lastMs = performance.now();

@@ -28,8 +28,8 @@ export const GOAL_WORDS = {
   contour: "Follow the groove",
   line: "Trace the line",
   spring: "Pull the spring to the mark",
-  hands: "Push the partner's hand",
-  ball: "Take or pass the ball",
+  hands: "Go to the partner's hand, and push it",
+  ball: "Take the ball at the mark, or bring it there",
   free: "Explore the board",
 };
 

@@ -1,5 +1,5 @@
 /**
- * Steers with mouse, pen or finger: a press is the dead-man switch, and dragging moves the handle
+ * Steers with mouse, pen or finger: a press is the dead-man button, and dragging moves the handle
  * from where it is; on the picture of a robot with a head, the axes `pan` and `tilt`.
  *
  * @import { HandControl } from "./hand_control.js"

@@ -20,6 +20,8 @@ const MARK = 0.6;
 const AHEAD = 2;
 /** Nearer to where it begins, the spring can be pulled. */
 const NEAR_M = 0.001;
+/** Nearer to the partner's hand, it can be pushed. */
+const TOUCH_M = 0.02;
 /** Nearer to its mark, a force is held. */
 const HELD_N = 0.3;
 
@@ -68,7 +70,7 @@ class TaskWidget extends HTMLElement {
     setText(this.#where, whereTo(panel, hello.board, handle));
     this.#bar.hidden = share === null;
     this.#bar.value = share ?? 0;
-    setAttribute(this.#gauge, "data-mark", panel.goal === "spring" ? `${panel.force_n} N` : null);
+    setAttribute(this.#gauge, "data-mark", panel.force_n > 0 ? `${panel.force_n} N` : null);
     setText(this.#left, panel.left_s === null ? "" : `${Math.ceil(panel.left_s)} s left`);
   }
 }
@@ -86,6 +88,7 @@ export function whereTo({ goal, target_m: target, force_n: markN }, board, handl
     if (Math.abs(missingN) < HELD_N) return "hold still";
     return missingN > 0 ? "a little further left" : "a little to the right";
   }
+  if (goal === "hands" && target !== null && Math.hypot(target[0] - xM, target[1] - yM) < TOUCH_M) return "push on";
   const way = board.paths_m?.[goal] ?? [];
   const follows = target === null && way.length > 0;
   const to = goal === "spring" ? [springX, springY] : follows ? nextOn(way, xM, yM, goal === "contour") : target;
@@ -102,7 +105,7 @@ function nextOn(way, xM, yM, closed) {
 /** How far a goal is, 0 to 1, and in words. @param {PanelText} panel @param {number} forceN @returns {{share: number | null, words: string}} */
 function progressOf({ goal, step, steps, percent, force_n: markN, held_s: heldS, hold_s: holdS }, forceN) {
   const holding = heldS > 0 ? `hold: ${Math.max(0, holdS - heldS).toFixed(1)} s more` : "";
-  if (goal === "spring") {
+  if (goal === "spring" || goal === "hands") {
     const words = holding || `${forceN.toFixed(1)} N of ${markN.toFixed(1)} N`;
     return { share: Math.min(1, (MARK * forceN) / markN), words };
   }

@@ -102,6 +102,8 @@ const LEVELS = {
   "german experiment": "good",
   "russian experiment": "good",
   driven: "good",
+  open: "good",
+  "no page": "warn",
   halted: "warn",
   off: "warn",
   lost: "bad",

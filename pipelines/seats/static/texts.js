@@ -279,13 +279,16 @@
  * holds: its hand holds a ball. joints: of each the angle in rad and the torque in N m, as far as
  * the robot says them. axes: of each behind x and y its name, place and force of its surroundings:
  * m and N, or rad and N m. partner: of the partner's robot, "none", "absent", "ready" or "driven".
+ * partner_seen: while it is driven: the place (x, y) that the joystick wants (m), its force (N),
+ * whether it touches something, and the age (ms) of its newest sample.
  * @typedef {{kind: "robot", boot_id: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
  *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds: boolean,
  *   joints: [number, number][], partner: string, stopped_by: string, axes: [string, number,
- *   number][], barred: string, blind: boolean}} RobotText
+ *   number][], barred: string, blind: boolean, partner_seen: [number, number, number, boolean,
+ *   number] | null}} RobotText
  */
 
 /**
@@ -318,10 +321,11 @@
 /**
  * What the page where people choose a page must know; it stands in that page itself. seat: the end
  * that serves it. ports: by end, of those on this machine. tasks: whether the session has any.
- * people: by role, its token, for the owner to hand out; none for others.
+ * trainer: whether it has one. people: by role, its token, for the owner to hand out; none for
+ * others.
  * @typedef {{role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" |
  *   "trainer" | "viewer", seat: "ground" | "space", ports: Record<string, number>, tasks: boolean,
- *   people: Record<string, string>}} WelcomeText
+ *   trainer: boolean, people: Record<string, string>}} WelcomeText
  */
 
 /**

@@ -14,8 +14,9 @@ const LOOK_MS = 3000;
 const OF_TASKS = ["panel", "top"];
 
 /**
- * In the order of a session. roles: whose place it is. end: "" for every end.
- * @typedef {{page: string, end: string, roles: string[], name: string, what: string, keys: string}} Place
+ * In the order of a session. roles: whose place it is. end: "" for every end. watch: what a viewer
+ * sees there; "" if there is nothing to watch.
+ * @typedef {{page: string, end: string, roles: string[], name: string, what: string, keys: string, watch: string}} Place
  * @type {Place[]}
  */
 const PLACES = [
@@ -24,6 +25,7 @@ const PLACES = [
     end: "space",
     roles: ["operator", "cosmonaut"],
     name: "Operator's seat",
+    watch: "What the person in space sees, hears and feels.",
     what: "In space: see and hear the ground, steer the robot, and feel its forces.",
     keys: "Press on the picture and drag, or hold Space and use the arrow keys; Esc lets go; 1 to 9 select a camera.",
   },
@@ -32,6 +34,7 @@ const PLACES = [
     end: "space",
     roles: ["cosmonaut"],
     name: "Mission control panel",
+    watch: "The present task, step by step.",
     what: "In space: do the tasks that the ground selects, step by step.",
     keys: "Enter goes on; hold Space and use the arrow keys to move the handle; Esc lets go.",
   },
@@ -40,6 +43,7 @@ const PLACES = [
     end: "space",
     roles: ["cosmonaut"],
     name: "Joystick and experiment (K2CP)",
+    watch: "",
     what: "In space: look after the joystick and the systems, start and stop, write to the ground.",
     keys: "X halts the joystick.",
   },
@@ -48,6 +52,7 @@ const PLACES = [
     end: "ground",
     roles: ["operator"],
     name: "Ground control",
+    watch: "The person in space, all cameras, the robot and the radio link.",
     what: "On the ground: see and hear the person in space, all cameras, the robot and the radio link.",
     keys: "1 to 9 open a tab; hold T to talk; M mutes the loudspeaker.",
   },
@@ -56,6 +61,7 @@ const PLACES = [
     end: "ground",
     roles: ["experimenter"],
     name: "Tasks and robot (TOP-UI)",
+    watch: "",
     what: "On the ground: select a task for the cosmonaut, follow its steps, look after the robot.",
     keys: "Tab and Enter reach every button.",
   },
@@ -64,6 +70,7 @@ const PLACES = [
     end: "ground",
     roles: ["supervisor"],
     name: "All systems (K2SV)",
+    watch: "Every system, every alarm, and the next contacts.",
     what: "On the ground: watch every system and every alarm, command the joystick, know the next contacts.",
     keys: "1 to 9 open a tab.",
   },
@@ -72,6 +79,7 @@ const PLACES = [
     end: "ground",
     roles: ["systems"],
     name: "Maintenance",
+    watch: "",
     what: "On the ground: watch contacts, bandwidth, processes and files, know which software runs.",
     keys: "1 to 9 open a tab.",
   },
@@ -80,6 +88,7 @@ const PLACES = [
     end: "",
     roles: ["trainer"],
     name: "Trainer",
+    watch: "",
     what: "At each end: make signal, joystick, robot, tasks or cameras fail, and see what people do.",
     keys: "Tab and Enter reach every button.",
   },
@@ -98,7 +107,7 @@ const ROLES = {
 
 /** @type {WelcomeText} */
 const welcome = JSON.parse(document.body.dataset.welcome ?? "{}");
-const { role, seat, ports, tasks, people } = welcome;
+const { role, seat, ports, tasks, trainer, people } = welcome;
 const token = new URLSearchParams(location.search).get("token") ?? "";
 const everywhere = role === "operator" || role === "viewer";
 
@@ -107,21 +116,27 @@ function address(end, page, given = token) {
   return `${location.protocol}//${location.hostname}:${ports[end] ?? location.port}/${page}?token=${given}`;
 }
 
+/** Whether the owner takes the trainer's seat there, by the trainer's own address. @param {string} page */
+function mayTrain(page) {
+  return page === "trainer" && trainer && role === "operator" && people.trainer !== undefined;
+}
+
 function showPlaces() {
-  const shown = PLACES.filter(
-    ({ page, end, roles }) =>
-      (end === "" ? roles.includes(role) : end in ports && (everywhere || end === seat)) && (tasks || !OF_TASKS.includes(page)),
-  );
-  const items = shown.map(({ page, end, roles, name, what, keys }) =>
+  const watches = role === "viewer";
+  const shown = PLACES.filter(({ page, end, roles, watch }) => {
+    const there = end === "" ? roles.includes(role) || mayTrain(page) : end in ports && (everywhere || end === seat);
+    return there && (tasks || !OF_TASKS.includes(page)) && !(watches && watch === "");
+  });
+  const items = shown.map(({ page, end, roles, name, what, keys, watch }) =>
     make(
       "li",
       {},
       make(
         "a",
-        { href: address(end || seat, page), "data-page": page, "data-yours": roles.includes(role) },
-        make("strong", {}, name),
-        make("span", {}, what),
-        make("span", { class: "small quiet" }, keys),
+        { href: address(end || seat, page, mayTrain(page) ? people.trainer : token), "data-page": page, "data-yours": roles.includes(role) },
+        make("strong", {}, watches ? `Watch: ${name}` : name),
+        make("span", {}, watches ? watch : what),
+        make("span", { class: "small quiet" }, watches ? "" : keys),
       ),
     ),
   );

@@ -87,3 +87,47 @@ export function linkText({ connected, signal, open }) {
   const name = open ? "Link NOT PROTECTED" : "Radio link";
   return connected ? name : `${name}: ${signal ? "signal" : "no signal"}`;
 }
+
+/** Why an end of the link sends nothing, or refuses the other one; "" if nothing is in the way.
+ * @param {import("./figure_binding.js").FigureBinding} figures
+ */
+export function linkObstacle(figures) {
+  const found = ["space", "ground"].flatMap((end) => {
+    const state = figures.get(`gateways.${end}.supervision.state`);
+    const why = figures.get(`gateways.${end}.supervision.why`);
+    return state === "check" || state === "refused" ? [`${end}: ${String(why ?? "")}`] : [];
+  });
+  return found.length === 0 ? "" : `No link: ${found.join("; ")}`;
+}
+
+/** Seconds since the link of an end is connected; null while it is not, or is not known.
+ * @param {import("./figure_binding.js").FigureBinding} figures
+ * @param {string} end
+ * @param {number | null} nowUs of the session
+ */
+export function connectedS(figures, end, nowUs) {
+  const head = `gateways.${end}.supervision`;
+  const [begunNs, sinceNs] = [figures.number(`${head}.begun_ns`), figures.number(`${head}.since_ns`)];
+  if (figures.get(`${head}.state`) !== "connected" || begunNs === null || sinceNs === null || nowUs === null) return null;
+  return Math.max(0, nowUs / 1e6 - (begunNs + sinceNs) / 1e9);
+}
+
+/** What the radio does now, by the ends known here and by its pass; null without either.
+ * @param {import("./figure_binding.js").FigureBinding} figures
+ * @returns {{text: string, level: "good" | "warn" | "bad"} | null}
+ */
+export function radioSays(figures) {
+  const ways = [["up", "space"], ["down", "ground"]].flatMap(([way, end]) => {
+    const signal = figures.get(`gateways.${end}.supervision.signal`);
+    return typeof signal === "boolean" ? [{ way, signal }] : [];
+  });
+  if (ways.length === 0) return null;
+  const [sinceS, untilS] = [figures.number("contact.since_acquisition_s"), figures.number("contact.until_loss_s")];
+  if (sinceS !== null && sinceS < 0) return { text: `no pass yet: signal in ${clockText(-sinceS)}`, level: "warn" };
+  if (untilS !== null && untilS < 0) return { text: `pass over since ${clockText(-untilS)}`, level: "bad" };
+  const dead = ways.filter(({ signal }) => !signal).map(({ way }) => way);
+  if (dead.length === ways.length) return { text: "no signal", level: "bad" };
+  if (dead.length > 0) return { text: `nothing goes ${dead.join("")}`, level: "bad" };
+  const lost = untilS === null ? "" : `, lost in ${clockText(untilS)}`;
+  return { text: `carries ${ways.map(({ way }) => way).join(" and ")}${lost}`, level: "good" };
+}

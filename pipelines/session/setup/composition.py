@@ -26,8 +26,11 @@ class Area(NamedTuple):
 class Composition:
     """A camera that is composed of two inputs, `compose`, of which either may be missing or old.
 
-    layout: of `Layout`. share, corner: of an inset: its sides as a share of the picture's, and
-    where it is (`Corner`).
+    compose: the two inputs.
+    layout: `merged`, as stereo is; `beside`, each in half the width; or `inset`, the second one in
+        a corner.
+    share: of an inset: its sides as a share of the picture's, 0.05 to 0.5.
+    corner: of an inset: upper left, upper right, lower left or lower right.
     """
 
     compose: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""A setup by its name, or a user's own from TOML; docs/setups.md has an annotated file. A shell.
+"""A setup by its name, or a user's own from TOML; docs/setup-file.md has every field. A shell.
 
 A mistake in the file is a ConfigError that names the field and the fix.
 """

@@ -29,7 +29,7 @@ class _Link:
 
 
 @cache
-def _file_kind(kind: type) -> type[Any]:
+def file_kind(kind: type) -> type[Any]:
     """The dataclass of what a file has for a `kind`."""
     rows = [_file_field(each, each.type) for each in fields(kind)]
     rows = [row for row in rows if row[0] != "height" and (row[0] != "name" or kind is Setup)]
@@ -53,14 +53,14 @@ def _file_field(of: Field[Any], hint: Any) -> tuple[str, Any, Any]:
     elif inner is RadioProfile or get_origin(hint) is Literal:
         hint = str
     elif inner in (VideoStream, VoiceStream, RtcLeg):
-        hint = _file_kind(inner) | None if default is None else _file_kind(inner)
+        hint = file_kind(inner) | None if default is None else file_kind(inner)
     kept: Any = {"default": default, "default_factory": of.default_factory}
     kept = {key: value for key, value in kept.items() if value is not MISSING}
     return name, hint, field(**kept, metadata=of.metadata)
 
 
 #: What a setup's file holds; its fields are those of `Setup`.
-SETUP_FILE = _file_kind(Setup)
+SETUP_FILE = file_kind(Setup)
 
 
 def setup_values(entry: Any, name: str = "") -> Mapping[str, Any]:

@@ -63,17 +63,21 @@ PORTS = 40
 class VideoStream:
     """A stream of pictures: its hard cap of RTP payload in bit/s, picture size and rate.
 
-    fps: pictures a second of its cameras. Of a fast camera's pictures only as many are coded as the
-        cap has bits for (`coded_hz`).
+    cap_bps: the most RTP payload in any second; 20 to 20000 kbit/s. With `deadband = "picture"` up
+        to twice as much.
+    width: width and height of the pictures, both even.
+    fps: pictures a second of its cameras, 1 to 120. Of a fast camera's pictures only as many are
+        coded as the cap has bits for (`coded_hz`).
     prefer: "latency" codes more and smaller pictures of a fast camera.
-    stale_after_ms: older pictures are marked as stale; None: the default of `Setup.stale_after_ns`.
-    coded: (width, height) in which pictures are coded; None: the largest size that the cap has
-        bits for (`coded_size`). They are shown in the stream's size.
+    stale_after_ms: older pictures are marked as stale. By default the radio's longest delay, 100 ms
+        and four periods together.
+    coded: the size in which pictures are coded, as (width, height). By default the largest for
+        which the cap has bits (`coded_size`). They are shown in the stream's size.
     codec: `h264`, or `h265` for a better picture at more computing.
-    least_fps: fewer pictures a second are not sent where some are left out, for repair or a slow
+    least_fps: no fewer pictures a second are sent where some are left out, for repair or a slow
         path.
-    least_cap_bps: the cap falls to it where the path between two machines carries less; None: a
-        third of the cap.
+    least_cap_bps: the cap falls to it where the path between two machines carries less; by default
+        to a third of the cap.
     """
 
     name: str
@@ -151,7 +155,8 @@ class VideoStream:
 class VoiceStream:
     """An Opus stream in voice mode, mono 48 kHz, constant bit rate: RTP payload in bit/s.
 
-    stale_after_ms: older sound is stale; None: the default of `Setup.stale_after_ns`.
+    cap_bps: its constant rate of RTP payload, 6.24 to 128 kbit/s.
+    stale_after_ms: older sound is stale; by default as of pictures, with periods of 20 ms.
     """
 
     name: str
@@ -197,9 +202,9 @@ PartnerArm = Literal["none", "shared", "second", "board"]
 
 #: What of the uplink video is coded finer. `off`: nothing. `stylus`: what is around its tip.
 RegionChoice = Literal["off", "stylus"]
-#: Which cameras are recorded. `idle`: those that no stream carries, at 5 Hz. `all`: every camera at
-#: its full rate.
-RecordedCameras = Literal["idle", "all"]
+#: Which cameras are recorded. `carried`: as the streams carry them, others at 5 Hz. `all`: every
+#: camera at its full rate. `auto`: all, if the disk has room for an hour of them; else `carried`.
+RecordedCameras = Literal["auto", "all", "carried"]
 #: The built-in scenes that see the task board.
 _BOARD_SCENES = ("left", "right", "static", "head")
 
@@ -209,11 +214,11 @@ _WALLS_PER_S = 2
 
 @dataclass(frozen=True, kw_only=True)
 class RtcLeg:
-    """The leg to a partner across the Internet, by WebRTC (docs/rtc.md). It shares no cap with the
-    radio.
+    """The leg to a partner across the Internet, by WebRTC (docs/webrtc.md), beside the radio.
 
-    video_bps, voice_bps: of the selected camera and of ground control's voice, coded for it.
-    taken_bps: the most that its picture may take.
+    video_bps: of the selected camera, coded for it; 100 to 20000 kbit/s.
+    voice_bps: of ground control's voice, coded for it; 6 to 128 kbit/s.
+    taken_bps: the most that its picture may take; 100 to 20000 kbit/s.
     """
 
     video_bps: int = 1_500_000
@@ -230,7 +235,11 @@ class RtcLeg:
 
 @dataclass(frozen=True, kw_only=True)
 class Playback:
-    """By end: the loudspeaker that plays its voice; None: it is silent. See `loudspeaker`."""
+    """By end: the loudspeaker that plays its voice; None: it is silent. See `loudspeaker`.
+
+    ground: of `downlink_voice`: default, alsa:DEVICE or pulse:SINK; without it silent.
+    space: the same of `uplink_voice`, which the operator hears.
+    """
 
     ground: str | None = None
     space: str | None = None
@@ -240,40 +249,46 @@ class Playback:
 class Setup:
     """A telepresence session: its cameras, its streams and their caps, its link and its radio.
 
-    cameras: the cameras that can be selected for the uplink video; the first is selected at the
-        start. `stereo` is merged from the inputs `left` and `right`; any other is the input of the
-        same name, or one of `composed`.
+    name: in reports; of a file its name by default.
+    cameras: what the operator can select; the first is on at the start. `stereo` is merged from the
+        inputs `left` and `right`; any other, of 1 to 10 printable ASCII characters, is the input of
+        the same name, or one of `composed`.
     composed: by their names, cameras that show two inputs in one picture (docs/cameras.md).
-    sources: for each input its source, as on the command line (`--source NAME=SPEC`).
-    radio: how the radio delays and loses frames: a profile, or a built-in one's name
-        (docs/radio.md). `telepresence.link.radio.load_radio` reads one from a file.
+    sources: for each input its source, as on the command line (docs/cameras.md).
+    radio: how the radio delays and loses frames: a built-in profile, or a file
+        (docs/simulation.md#the-radio).
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
     deadband: unless `off`, haptic samples are left out while nobody would feel the difference. The
-        uplink video gets the room: as a higher rate, or a lower delay (docs/haptics-sample.md).
-    repair: what restores lost frames (docs/link.md#repair): idle slots, with `auto` also pictures
-        left out while the other end reports losses, or nothing. A direction whose frames have no
-        room for it, or whose other end does not know it, goes without in `auto`.
-    path, path_batch_ms: how frames go in datagrams between two machines: one length for every slot
-        (`slots`), or without what is idle (`compact`); those of 1, 2 or 4 ms together
-        (docs/two-machines.md).
-    hand: what the operator feels: the robot's delayed force, or a wall that is rendered at the
-        joystick (docs/haptics-controllers.md).
+        uplink video gets the room: as a higher rate, or a lower delay (docs/haptics.md).
+    repair: what restores lost frames: idle slots; with `auto` also pictures left out while the
+        other end reports losses; nothing (docs/architecture.md#the-link). Where a direction has no
+        room for it, or its other end does not know it, `auto` goes without.
+    path: how frames go in datagrams between two machines: one length for every slot, or without
+        what is idle (docs/two-machines.md).
+    path_batch_ms: a datagram has the frames of so many ms: 1, 2 or 4.
+    hand: what the operator feels: the robot's delayed force (`direct`); a wall that is rendered at
+        the joystick (`mediated`); that wall, and directly what it does not explain (`auto`); `auto`
+        from a round trip of 60 ms on (`adaptive`) (docs/haptics.md).
     force: `none`: the hand feels nothing. Commands go at `command_hz`, the robot's state at 50 Hz,
-        and the pictures get the room (docs/setups.md).
+        and the pictures get the room (docs/haptics.md).
+    command_hz: commands a second with `force = "none"`, 50 to 250.
     axes: what the hand moves, of x, y, z, roll, pitch, yaw, gripper and up to three of the robot's
-        own. Each behind x and y makes the haptic samples longer, so the link's frames must be
-        (docs/haptics-sample.md). axis: what there is to say of one of these.
+        own. Each behind x and y makes the samples 5 octets longer, so frames must be, too.
+    axis: tables of what there is to say of one of these.
     rtc: the leg to a partner across the Internet; None: there is none.
-    partner_arm: what a partner's joystick may drive, at ports of its own (docs/rtc.md).
-    tasks: a live session has tasks, which people select and do (docs/tasks.md).
+    partner_arm: what a partner's joystick may drive (docs/webrtc.md).
+    tasks: a live session has tasks, which people select and do (docs/ground-control.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
     marks: what stands in the robot's workspace, by name, for the maps of the pages. With any, or
         with a robot of one's own, they show these instead of the built-in task board.
-    playback: where the operator in space, and the ground, hear the voice (docs/setups.md).
-    recorded_cameras: which cameras a recording has beside the streams (docs/recordings.md).
-    region: what of the uplink video is coded finer where no person says (docs/video.md).
-    region_points: for a camera other than a built-in scene, the four corners of the task board in
-        its pictures: upper left, upper right, lower right, lower left; (x, y) in pixels.
+    playback: where the operator in space, and the ground, hear the voice.
+    recorded_cameras: which cameras a recording has beside the streams: at 5 Hz while no stream
+        carries them, or all at their full rate (docs/recordings.md).
+    region: what of the uplink video is coded finer where no person says: the robot's tip
+        (docs/architecture.md#pictures-and-voice).
+    region_points: for a camera of your own, the four corners of the task board in its pictures:
+        upper left, upper right, lower right, lower left; (x, y) in pixels.
+    base_port: the first of the 40 UDP ports on loopback.
     """
 
     name: str
@@ -315,7 +330,7 @@ class Setup:
         metadata={"like": "a table of tables, like bin = {x_m = 0.1, y_m = 0.02}"},
     )
     playback: Playback = field(default_factory=Playback)
-    recorded_cameras: RecordedCameras = "idle"
+    recorded_cameras: RecordedCameras = "auto"
     region: RegionChoice = "off"
     region_points: Mapping[str, tuple[tuple[float, float], ...]] = field(
         default_factory=dict,
@@ -374,7 +389,7 @@ class Setup:
                 raise ConfigError(
                     f"source {name}: setup {self.name} has no such input: it has "
                     f"{', '.join(self.inputs)}; another camera needs a setup file of your own that "
-                    f"names it in cameras (docs/setups.md)"
+                    f"names it in cameras (docs/setup-file.md)"
                 )
         for name in self.inputs:
             self.source(name)

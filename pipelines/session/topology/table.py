@@ -30,6 +30,7 @@ from pipelines.session.topology.streams import (
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import SIMULATED
 from telepresence.link.flows import Flow
+from telepresence.tmtc.routes import Route
 from telepresence.tmtc.telemetry_source import Component
 
 
@@ -38,8 +39,9 @@ class SessionOptions:
     """What a session has beside what its setup says.
 
     joystick, robot, second_robot: their SPECs; the last is the arm that a partner drives.
-    components: of users, in the telemetry. Each flag: with the processes that `rows.py` of a room
-    have under it. recorder: it can record. bypass: programs are joined past gateways and radio.
+    components: of users, in the telemetry. routes: of its data. Each flag: with the processes that
+    `rows.py` of a room have under it. recorder: it can record. bypass: programs are joined past
+    gateways and radio.
     """
 
     joystick: str = SIMULATED
@@ -58,6 +60,7 @@ class SessionOptions:
     files: bool = False
     bypass: bool = False
     components: tuple[Component, ...] = ()
+    routes: tuple[Route, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

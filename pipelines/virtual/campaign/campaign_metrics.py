@@ -53,11 +53,11 @@ USABLE_SHARE = 0.99
 #: A stream that shows nothing, or a channel that moves no sample, is stuck after this time with a
 #: signal in the predicted window.
 LONGEST_PAUSE_S = {"shown": 3.0, "felt": 1.0}
-#: One-way delays that a session of samples takes to begin (docs/haptics-sample.md).
+#: One-way delays that a session of samples takes to begin (docs/wire-formats.md).
 HAPTIC_BEGIN_DELAYS = 5
 #: Rounding down at both ports makes the observed energy too small by this at most (µJ).
 ROUNDING_UJ = 2
-#: The largest rate over 100 ms in % of the cap (docs/video.md).
+#: The largest rate over 100 ms in % of the cap (docs/rtp-streams.md).
 MOST_BURST_PCT = 150
 
 

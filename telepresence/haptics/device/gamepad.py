@@ -113,7 +113,7 @@ def open_gamepad(
     if dead_man_of(frozenset(device.capabilities().get(EV_KEY, ()))) is None:
         device.close()
         raise ConfigError(
-            f"evdev:{path} has no button to be the dead-man switch: take a controller with one"
+            f"evdev:{path} has no button to be the dead-man button: take a controller with one"
         )
     return GamepadDevice(device, axes)
 

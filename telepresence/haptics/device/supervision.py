@@ -1,4 +1,4 @@
-"""What the supervision of a running joystick monitors, and how it reacts (docs/joystick.md)."""
+"""What the supervision of a running joystick monitors, and how it reacts (docs/drivers.md)."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -144,7 +144,7 @@ class JoystickSupervisor:
             if self._exercise_ns is None or not present:
                 return self._judge_sensors(reading)
             if now_ns < self._exercise_ns:
-                return self._set_health(Health.FAULT, "a fault of the trainer's exercise")
+                return self._set_health(Health.FAULT, "a sensor gives no valid reading")
             self._exercise_ns = None
             self._set_reach()
             return self.handle_reading(reading, now_ns)

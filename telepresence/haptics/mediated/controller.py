@@ -4,14 +4,14 @@ The robot's delayed force is not displayed, or only what the model does not expl
 (`residual`). Two energies are bounded, each alone: the motors never give the hand more than they
 took from it (`WallRenderer`), and the robot never gets more than the hand put in. What the hand
 puts into the rendered spring is granted to the robot, too, or it could not press. So the network as
-a whole is not passive (docs/haptics-controllers.md).
+a whole is not passive (docs/haptics.md).
 
 `WallRenderer` renders the newest wall at the operator's handle, at 1 kHz and passively. The wall is
 a spring in series with the robot's own, so that the hand feels what the robot presses with. It acts
 across the plane only. The force of a cycle is held while the handle moves by `d`, so exactly `f·d`
 has flowed out. A force that turns does no work.
 
-An energy tank bounds what a change of the wall may add (docs/haptics-controllers.md). A part of it
+An energy tank bounds what a change of the wall may add (docs/haptics.md). A part of it
 is the spring's own energy f^2 / 2k; only the rest may pay for a wall that appears under the hand,
 comes nearer or becomes softer under load.
 

@@ -14,7 +14,7 @@ The six unknowns are found together by least squares over the samples of a conta
 moved; older ones count less and less. The assumed plane is then turned by the tilt. What the
 samples do not tell comes from weak priors, and from the place where the contact began. An estimate
 that is too uncertain is not told. The free tip contradicts a wall when it stands behind its
-surface. docs/haptics-controllers.md has the figures, and what is sent of the measured force.
+surface. docs/haptics.md has the figures, and what is sent of the measured force.
 
 Model-mediated teleoperation: P. Mitra, G. Niemeyer, "Model-mediated telemanipulation", Int. J.
 Robotics Research 27, 2008; C. Passenberg, A. Peer, M. Buss, "A survey of environment-, operator-,

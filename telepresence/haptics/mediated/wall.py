@@ -1,6 +1,6 @@
 """The message with the wall that the robot's tip has met, as a CCSDS space packet.
 
-16 octets, big-endian (docs/haptics-controllers.md). The primary header (CCSDS 133.0-B-2, clause
+16 octets, big-endian (docs/wire-formats.md). The primary header (CCSDS 133.0-B-2, clause
 4.1.3) has type 0 and `WALL_APID` and is unsegmented; its count is that of this APID.
 
 A surface that is not plane is told as its tangent plane where the tip is. The layout is this

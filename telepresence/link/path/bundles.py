@@ -1,6 +1,6 @@
 """Several frames in one datagram, whole or without what is idle. A core.
 
-docs/two-machines.md has the layout of both kinds.
+docs/wire-formats.md has the layout of both kinds.
 """
 
 from collections import deque

@@ -1,7 +1,7 @@
 """Simulated radio between two gateways: delay, bit errors, bursts, blackouts and passes.
 
 `load_radio(name or FILE.toml)` returns a `RadioProfile`. Its `path(direction, seed=, epoch_ns=)` is
-a `RadioPath` for the frames of one direction. docs/radio.md has the equations.
+a `RadioPath` for the frames of one direction. docs/experiments/radio.md has the equations.
 """
 
 from telepresence.link.radio.channel import Bursts as Bursts

@@ -1,6 +1,6 @@
 """A contact: effects of a pass on the signal. Light time from range, drop-outs from elevation.
 
-docs/radio.md has the link margin's equation, in dB above the level with a bit error rate of 1e-6,
+docs/experiments/radio.md has the link margin's equation, in dB above a bit error rate of 1e-6,
 and its reasons. The fading depends only on the seed and on time, so both directions fade together.
 """
 

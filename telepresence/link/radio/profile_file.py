@@ -1,4 +1,4 @@
-"""Loads a radio profile by name or from a user's TOML file; docs/radio.md has every field. A shell.
+"""Loads a radio profile by name or from a TOML file; docs/simulation.md has every field. A shell.
 
 An error in the file is a ConfigError that names the field and the fix.
 """

@@ -8,7 +8,7 @@ A repair zone is a first symbol, too: its mark is added to the first pointer cod
 frame without a sample it has a second symbol as well. With the pointer in the VCID and twelve
 octets of zone, codes 13 to 27 are free, and `idle` with a zone that is not all zeros is the
 sixteenth; there the second symbol has a mark of its own, and one of its ten elements is left out.
-docs/link-format.md has the bits.
+docs/wire-formats.md has the bits.
 """
 
 from hashlib import sha256

@@ -1,7 +1,7 @@
 """What the ends of the link tell each other: a configuration to share, and messages of supervision.
 
-A message has twelve octets; docs/link-format.md has them, and says which first header pointer marks
-it. All numbers are big-endian; the layout is this project's own. A message CLOCK
+A message has twelve octets; docs/wire-formats.md has them, and says which first header pointer
+marks it. All numbers are big-endian; the layout is this project's own. A message CLOCK
 (`telepresence.link.clock_exchange`) has another layout. Only a master sends CONFIGURE, only a slave
 CONFIRM.
 """
@@ -133,7 +133,7 @@ _FLAGS = {"master": MASTER, "signal": 0x08, "application": 0x04, "fresh": 0x02, 
 
 
 class LinkState(IntEnum):
-    """How far the two ends have come; docs/link.md shows the transitions.
+    """How far the two ends have come; docs/wire-formats.md shows the transitions.
 
     CHECK: the local check has not passed.
     SEARCH: no signal, or no message in it yet.
@@ -165,7 +165,7 @@ class MessageKind(IntEnum):
 class SupervisionMessage(NamedTuple):
     """One message.
 
-    version: 1 to 15. boot_id, heard: docs/link-format.md. digest: 0 to 65535.
+    version: 1 to 15. boot_id, heard: docs/wire-formats.md. digest: 0 to 65535.
     signal: good frames of the peer arrive.
     application: data of the peer's applications has arrived since the contact or the last reset.
     fresh: some has arrived recently. sending: some has been sent recently.

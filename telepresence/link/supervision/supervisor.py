@@ -3,7 +3,7 @@
 The design follows Stelzer et al., "Software Architecture and Design of the Kontur-2 Mission"
 (2017). Each end checks itself, alive messages show the other side, and the master configures and
 checks the slave. The first application data both ways approves the connection. Supervision resets
-a link that is idle or broken. docs/link.md has states and events, docs/link-format.md the timing.
+a link that is idle or broken. docs/wire-formats.md has states and timing.
 
 Strategy: each end repeatedly sends what it *is*, never what the other should have received. The
 state is a function of what this end knows. A lost message thus only costs time, and no sequence of

@@ -54,19 +54,23 @@ def dictionary_from_table(table: Mapping[str, Any]) -> Dictionary:
 def _application(name: str, table: object) -> Application:
     if not isinstance(table, Mapping):
         raise ConfigError(f"{name} is {table!r}: it must be a table [{name}] with an apid")
-    known = {*_KINDS, "apid", "end", "text"}
+    known = {*_KINDS, "apid", "end", "text", "fresh_s"}
     for key in table:
         if key not in known:
             (nearest,) = get_close_matches(key, sorted(known), n=1, cutoff=0.0)
             raise ConfigError(f"unknown field {name}.{key}: the nearest one is {name}.{nearest}")
     apid, end, text = table.get("apid"), table.get("end", "space"), table.get("text", "")
+    fresh_s = table.get("fresh_s", 0.0)
     if type(apid) is not int or not isinstance(end, str) or not isinstance(text, str):
         raise ConfigError(f"{name} needs apid, a whole number, and may have end and text in quotes")
+    if type(fresh_s) is not float or fresh_s < 0:
+        raise ConfigError(f"{name}.fresh_s is {fresh_s!r}: give seconds, like 15.0; 0.0 for ever")
     return Application(
         name=name,
         apid=apid,
         end=end,
         text=text,
+        fresh_s=fresh_s,
         parameters=_items(f"{name}.parameter", table, Parameter),
         structures=_items(f"{name}.structure", table, Structure),
         events=_items(f"{name}.event", table, EventDefinition),

@@ -292,7 +292,7 @@ class PusUser:
             if packet.service == verification.SERVICE:
                 self._handle_verification(packet, now_ns)
             else:
-                self._add(_parse_report(table, packet))
+                self._add(parse_report(table, packet))
                 self.reports += 1
         except ProtocolError:
             self.garbage += 1
@@ -366,7 +366,7 @@ def _known(items: Sequence[_T], name: str, kind: str, table: Application) -> _T:
     raise ConfigError(f"{table.name} has no {kind} {name!r}: choose one of {known}")
 
 
-def _parse_report(table: Application, packet: Telemetry) -> Report:
+def parse_report(table: Application, packet: Telemetry) -> Report:
     """Return what a report says, after the dictionary; ProtocolError."""
     at_ns, data = ns_from_cuc(packet.cuc), packet.data
     message = (packet.service, packet.subtype)

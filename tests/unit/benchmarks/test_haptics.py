@@ -64,7 +64,7 @@ def test_the_small_grid_reaches_the_limits_of_the_claims_and_random_cells_meet_e
         assert (min(values), max(values)) == ends
     assert max(cell.wall for cell in grid) == 5000
     assert {cell.hand for cell in grid} == {cell.hand for cell in traces} == set(HANDS)
-    page = (ROOT / "docs" / "haptic-traces.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "experiments" / "haptic-traces.md").read_text(encoding="utf-8")
     assert all(f"`{cell.name}`" in page for cell in traces)
     cells = list(random_cells(300, seed=3))
     assert cells == list(random_cells(300, seed=3)) != list(random_cells(300, seed=4))

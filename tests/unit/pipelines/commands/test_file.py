@@ -41,7 +41,7 @@ def test_a_session_that_stays_silent_is_a_failure_and_a_pause_is_none(
     ask = Mock(side_effect=answers)
     monkeypatch.setattr(file, "time", Time())
     monkeypatch.setattr(file, "running_sessions", lambda _service: ["s"])
-    monkeypatch.setattr(file, "acting_on", lambda *_: "s")
+    monkeypatch.setattr(file, "acting_on", lambda *_, **_named: "s")
     monkeypatch.setattr(file, "ask", ask)
     assert main(["file", "put", "a.txt"]) == code
     assert says in capsys.readouterr().err

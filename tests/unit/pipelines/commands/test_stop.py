@@ -82,10 +82,11 @@ def test_a_telecommand_goes_from_its_own_end_where_the_other_one_is_elsewhere(he
     (lab,) = held("lab")
     sent = []
 
-    def running(name):
-        return [lab] if name == tmtc_socket_name(Segment.GROUND) else []
+    def running(*names):
+        return [lab] if tmtc_socket_name(Segment.GROUND) in names else []
 
-    monkeypatch.setattr(tc, "running_sessions", running)
+    for module in (tc, common):
+        monkeypatch.setattr(module, "running_sessions", running)
     monkeypatch.setattr(tc, "read_dictionary", lambda _session: built_in_dictionary())
     monkeypatch.setattr(tc.TopicBus, "join", MagicMock())
     monkeypatch.setattr(tc, "follow", lambda sending, _: sent.append(sending._origin) or 0)

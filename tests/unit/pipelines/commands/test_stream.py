@@ -54,7 +54,7 @@ def test_the_documented_site_is_explained_without_secrets_and_nothing_is_made(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    page = (ROOT / "docs" / "setups.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "setup-file.md").read_text(encoding="utf-8")
     for name, text in re.findall(r"```toml\n# (common|lab)\.toml(.*?)```", page, re.DOTALL):
         (tmp_path / f"{name}.toml").write_text(f"#{text}")
     (tmp_path / "token").write_text("nobody-sees-this-one\n")

@@ -31,6 +31,7 @@ from pipelines.session.session_metrics import Event, SessionNews
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"])
 SOURCES = {source.topic: source for source in sources_of(TOPOLOGY)}
@@ -40,7 +41,7 @@ HEAD = struct.Struct("<BIQ")
 
 
 def new_bridge():
-    return Bridge(TOPOLOGY, "test", wall_offset_ns=NS_PER_S, boot_id=1)
+    return Bridge(TOPOLOGY, built_in_dictionary(), "test", wall_offset_ns=NS_PER_S, boot_id=1)
 
 
 @pytest.fixture

@@ -7,6 +7,8 @@ from battery import Mission, recharges
 from kontur_av.errors import ConfigError
 from kontur_av.returned import PartError
 from pipelines.mission.tmtc_messages import Reported
+from pipelines.session.setup.segments import Segment
+from telepresence.tmtc.routes import read_routes
 from telepresence.tmtc.telemetry_source import FunctionCall, TelemetryReading
 
 
@@ -202,3 +204,27 @@ def test_values_may_be_those_of_numpy_and_a_reading_a_plain_tuple(mission):
     mission.run(2)
     assert reported(mission, "housekeeping")[0].values == {"voltage": 12.25, "limit": 20}
     assert mission.metrics().faults == 0
+
+
+def test_a_file_routes_data_to_a_component_and_to_ground():
+    mission = Mission(
+        routes=read_routes(
+            b"""<Routes>
+  <Route from="battery" data="voltage" to="ground" period_s="2"/>
+  <Route from="robot" data="x force" to="battery"/>
+  <Route from="joystick" data="temperature" to="battery"/>
+</Routes>"""
+        )
+    )
+    ground, space = mission.ends[Segment.GROUND], mission.ends[Segment.SPACE]
+    for step in range(100):
+        ground.handle_values("robot", {"x": 0.001 * step, "y": 0.5, "force": 1.0}, mission.now_ns)
+        space.handle_values("joystick", {"temperature": 31.5}, mission.now_ns)
+        mission.run(0.05)
+    own = [one.values for one in reported(mission, "housekeeping") if one.application == "battery"]
+    # Its class would report `limit`, too.
+    assert own and all(values == {"voltage": 12.0} for values in own)
+    robot = [values for name, values in mission.battery.data if name == "robot"]
+    assert len(robot) >= 9 and all(values.keys() == {"x", "force"} for values in robot)
+    assert robot[-1]["x"] > robot[0]["x"]
+    assert ("joystick", {"temperature": 31.5}) in mission.battery.data

@@ -162,7 +162,7 @@ def test_a_trainer_lets_a_task_fail_and_says_why(begin):
     ground = begin()
     ground.exercise = True
     ground.go(2)
-    assert ground.ended == ("aborted", "a fault of the trainer's exercise")
+    assert ground.ended == ("aborted", "the robot application has a fault")
     assert ground.phase == "idle" and not ground.robot.powered
 
 

@@ -47,6 +47,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.session.setup.setup_text import setup_toml
 from pipelines.table import topology_of
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 SETUP = BUILT_IN["spacejustin"]
 TOPOLOGY = topology_of(SETUP, recorder=True)
@@ -70,7 +71,9 @@ class Disk:
     """Drives a recorder as its process does; `files` is what a disk would hold."""
 
     def __init__(self, topology=TOPOLOGY, **options):
-        self.recorder = Recorder(topology, METADATA_OF_TEST, wall_offset_ns=OFFSET_NS, **options)
+        self.recorder = Recorder(
+            topology, METADATA_OF_TEST, built_in_dictionary(), wall_offset_ns=OFFSET_NS, **options
+        )
         self.files = {}
         self.full = False
 
@@ -382,6 +385,10 @@ class Camera(nullcontext):
         super().__init__(self)
         self.stamp, self.unread = None, False
 
+    @property
+    def published_ns(self):
+        return self.stamp.capture_ns
+
     def reader(self, topic, *, depth=1):
         return self
 
@@ -406,14 +413,17 @@ def test_cameras_are_coded_cheaply_or_whole_as_the_setup_wants(cameras, kept, lo
     source = SOURCES["input/head"]
     assert source.is_camera
     camera = Camera()
-    reader = CameraReader(camera, source, disk.recorder.coder(source), whole=whole)
+    reader = CameraReader(camera, source, disk.recorder.coder(source), NS_PER_S, whole=whole)
     reader.handle_carried(whole)
-    for number in {*range(60)} - {7}:
-        camera.stamp, camera.unread = stamp(number, number * NS_PER_S // 30), True
+    # The first is of an earlier recording, which the topic has kept: it is neither a picture of
+    # this one, nor are those between them lost.
+    for number in (-900, *sorted({*range(60)} - {7})):
+        at_ns = NS_PER_S + number * NS_PER_S // 30
+        camera.stamp, camera.unread = stamp(900 + number, at_ns), True
         # One that is idle opens its reader first.
         for _ in range(2):
-            if (coded := reader.poll(camera.stamp.capture_ns)) is not None:
-                disk.recorder.handle_camera(source, *coded, camera.stamp.capture_ns)
+            if (coded := reader.poll(max(at_ns, NS_PER_S))) is not None:
+                disk.recorder.handle_camera(source, *coded, at_ns)
     (file,) = disk.end(3 * NS_PER_S)
     units = [unpack(RecordedPicture, each.data) for each in file["/camera/head"]]
     assert (len(units), disk.recorder.metrics("").lost) == (kept, lost)

@@ -3,11 +3,12 @@
 import os
 import stat
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.recording.part_files import PartFiles, check_disk, check_recordable
+from pipelines.recording.part_files import PartFiles, check_disk, check_recordable, recorded_cameras
 from pipelines.recording.recording_file import Outputs, write_whole
 from pipelines.session.setup.setup_file import BUILT_IN
 
@@ -57,8 +58,32 @@ def test_a_recording_that_goes_on_is_not_overwritten_and_a_disk_needs_room(tmp_p
     files.close(1)
     check_recordable(tmp_path / "a.mcap", overwrite=True)
     setup = BUILT_IN["taskboard"]
-    check_disk(tmp_path / "a.mcap", setup, 1e12)
-    whole = replace(setup, recorded_cameras="all")
+    whole = recorded_cameras(tmp_path / "a.mcap", setup, "all")
     check_disk(tmp_path / "a.mcap", whole, 1.0)
-    with pytest.raises(ConfigError, match=r"3 cameras take about 35 MB a minute, .*\bidle"):
+    with pytest.raises(ConfigError, match=r"all 3 take up to 35 MB a minute, .*cameras carried"):
         check_disk(tmp_path / "a.mcap", whole, 1e12)
+    check_disk(tmp_path / "a.mcap", recorded_cameras(tmp_path, setup, "carried"), 1e12)
+
+
+@pytest.mark.parametrize(
+    ("setup", "asked", "free_mb", "choice"),
+    [
+        ("auto", "", 3000, "all"),
+        ("auto", "", 1000, "carried"),
+        ("auto", "all", 1000, "all"),
+        ("auto", "carried", 3000, "carried"),
+        ("carried", "", 3000, "carried"),
+        ("carried", "all", 3000, "all"),
+    ],
+)
+def test_all_cameras_are_recorded_where_the_disk_has_room_for_an_hour(
+    monkeypatch, tmp_path, setup, asked, free_mb, choice
+):
+    # Three cameras of the task board take 2.1 GB an hour.
+    usage = SimpleNamespace(free=free_mb * 1_000_000)
+    monkeypatch.setattr("shutil.disk_usage", lambda path: usage)
+    found = recorded_cameras(
+        tmp_path, replace(BUILT_IN["taskboard"], recorded_cameras=setup), asked
+    )
+    assert found.choice == choice
+    assert "all 3 take up to 35 MB a minute" in found.words

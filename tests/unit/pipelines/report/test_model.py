@@ -14,7 +14,7 @@ from kontur_av.metrics import marks_of
 from pipelines.recording.recorded_messages import RecordedFigure
 from pipelines.report.collector import Collector
 from pipelines.report.figures import figures_of
-from pipelines.report.model import SessionReport, to_builtins
+from pipelines.report.model import to_builtins
 from pipelines.report.session_report import build_report
 from pipelines.report.upkeep_now import UpkeepNow
 from pipelines.session.session_metrics import TrainerMetrics
@@ -82,7 +82,7 @@ RECORDS = [kind for kind in keys.TOLD if kind is not TrainerMetrics]
 
 @pytest.fixture(scope="module")
 def documented():
-    return keys.counts_table() + keys.keys_tables(SessionReport)
+    return keys.counts() + keys.report_keys()
 
 
 @pytest.mark.rule("9")

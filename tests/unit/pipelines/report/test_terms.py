@@ -36,8 +36,8 @@ def instants(*steps_ms, at_ms=0):
     return tuple(found)
 
 
-def lead_of(way, link=None, setup=SETUP):
-    return video_lead(setup, way, link or uplink(), force_ns=FORCE_NS, epoch_ns=0)
+def lead_of(way, link=None, setup=SETUP, **more):
+    return video_lead(setup, way, link or uplink(), force_ns=FORCE_NS, epoch_ns=0, **more)
 
 
 def test_each_term_equals_its_input_and_a_picture_has_the_weight_of_its_time():
@@ -51,6 +51,10 @@ def test_each_term_equals_its_input_and_a_picture_has_the_weight_of_its_time():
     assert lead.force_ms.queueing == 1.0
     assert lead.lead_ms.propagation == 0.0
     assert lead.lead_ms.total == 58.5
+    # Past gateways and radio, all of the network's time is queueing.
+    past = lead_of(way, bypass=True)
+    assert past.video_ms.queueing == 36.0 and past.force_ms.queueing == 11.0
+    assert past.video_ms.serialisation == past.video_ms.propagation == 0.0
     way = DelaySums()
     way.add(instants(0, 0, 0, 50, 0, 0), 30 * NS_PER_MS, (0, 1))
     way.add(instants(0, 0, 0, 80, 0, 0), 60 * NS_PER_MS, (0, 1))
@@ -83,6 +87,7 @@ def test_the_terms_add_up_for_any_pictures(pictures, samples):
     for steps_ms, gap_ms, octets, packets in pictures:
         way.add(instants(*steps_ms), round(gap_ms * NS_PER_MS), (octets, packets))
     lead = lead_of(way, uplink(samples=samples, header_octets=3))
+    assert lead.video_ms.queueing >= 0
     for terms in (lead.video_ms, lead.force_ms, lead.lead_ms):
         parts = sum(getattr(terms, name) for name in TERMS)
         assert parts == pytest.approx(terms.total, abs=0.0005 * (len(TERMS) + 1) + 1e-6)

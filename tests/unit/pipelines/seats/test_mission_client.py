@@ -162,6 +162,9 @@ def test_each_dead_direction_is_said_in_words_and_at_once(service):
     # A red LOST has no green beside it.
     lost = radio_text(ground, hears=True, heard=True, unverified=0, connected=False)
     assert (lost.level, lost.words) == ("bad", "The link is not connected.")
+    fault = "space: this machine does not send the frames: Network is unreachable"
+    none = radio_text(ground, hears=True, heard=True, unverified=0, obstacle=fault)
+    assert (none.level, none.words) == ("bad", f"No link: {fault}.")
     # The other gateway says that it does not hear us.
     service.core.handle_signal(True)
     for kind, source, name, values, level in (

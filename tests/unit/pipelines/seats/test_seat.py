@@ -350,8 +350,8 @@ def test_a_seat_shows_what_the_robot_answered_and_releases_it_across_the_radio(s
 
 
 def test_a_page_is_told_one_situation_of_joystick_robot_and_picture(space):
-    page, status = space.open(unread=False), dict(reason="", dead_man=False, force_limit_n=6.0)
-    status |= dict(device="page", half_width_m=0.1, half_height_m=0.08, robot_waits=True)
+    page, status = space.open(unread=False), {"reason": "", "dead_man": False, "force_limit_n": 6.0}
+    status |= {"device": "page", "half_width_m": 0.1, "half_height_m": 0.08, "robot_waits": True}
     space.seat.handle_signal(True, 0)
     hold = "press and hold the dead-man button"
     for state, more, why, says in (

@@ -34,7 +34,10 @@ def example(name):
     if kind is bool:
         return [flag(name)], "true"
     if get_origin(kind) is Literal:
-        return [flag(name), "direct" if name == "hand" else "ground"], '"ground"'
+        return [
+            flag(name),
+            "direct" if name == "hand" else "ground",
+        ], '"ground"'
     if what.startswith("NAME="):
         return [flag(name), "a=b:1"], '{a = "b:1"}'
     if get_origin(kind) is tuple:
@@ -45,8 +48,9 @@ def example(name):
 @pytest.mark.parametrize("name", sorted(OPTIONS))
 def test_every_option_can_be_in_a_file_and_be_taken_back(site, name):
     words, value = example(name)
-    if name in ("hand", "force", "deadband", "repair", "path"):
-        words[1] = {"hand": "auto", "force": "none", "path": "compact"}.get(name, "off")
+    if name in ("hand", "force", "deadband", "repair", "path", "record_cameras"):
+        choices = {"hand": "auto", "force": "none", "path": "compact", "record_cameras": "all"}
+        words[1] = choices.get(name, "off")
         value = f'"{words[1]}"'
     by_command = site({}, *words).options
     assert by_command != StreamOptions()

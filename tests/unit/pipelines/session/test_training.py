@@ -6,7 +6,18 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import TrainerMetrics
-from pipelines.session.training import Exercises, Trainer, TrainerReach, TrainerRequest
+from pipelines.session.setup.segments import Segment
+from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.session.training import (
+    END,
+    EXERCISES,
+    Exercises,
+    Trainer,
+    TrainerReach,
+    TrainerRequest,
+)
+from pipelines.table import topology_of
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 S = NS_PER_S
 
@@ -79,3 +90,18 @@ def test_what_is_at_the_other_end_is_asked_for_there_and_what_lasts_is_published
     asked_ns = range(1, 3 * S, S // 10)
     again = [now_ns for now_ns in asked_ns if trainer.poll_exercises(now_ns) == told]
     assert again == [1 + S, 1 + 2 * S]
+
+
+def test_a_trainer_in_space_alone_gives_all_faults_and_asks_the_ground_for_those_there():
+    topology = topology_of(BUILT_IN["taskboard"], segments=(Segment.SPACE,), trainer=True)
+    trainer = Trainer(Probe(), TrainerReach.of(topology))
+    for exercise in ("los", "joystick-error", "robot-fault", "task-failed", "end"):
+        ask(trainer, exercise, 5)
+    assert trainer.exercises == Exercises()
+    table = built_in_dictionary().application("trainer")
+    asked = [*iter(trainer.next_asked, None)]
+    assert asked == [("robot_fault", (5,)), ("task_failed", (5,)), ("end", ())]
+    for name, arguments in asked:
+        # What the ground is asked for is in its dictionary.
+        assert len(table.function(name).arguments) == len(arguments)
+        assert name.replace("_", "-") in (*EXERCISES, END)

@@ -10,7 +10,8 @@ from kontur_av.errors import ConfigError
 from pipelines.study.effects import study_report
 from pipelines.study.plan import Aiming, HandleLevels, StudyPlan, Tracking
 from pipelines.study.running import StudyFolder, write_tables
-from pipelines.study.trials import StudyPhase, StudyPress, StudyTrials
+from pipelines.study.trials import StudyPhase, StudyPress, StudyTrials, check_handle
+from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
 from telepresence.haptics.device.page import PageDevice, PageInput
 
 PLAN = StudyPlan(
@@ -177,3 +178,61 @@ def test_tables_hold_every_trial_with_none_as_nan(person, tmp_path):
     assert list(trials["task"]) == ["spot", "spot"] and np.isnan(trials["throughput_bit_s"]).all()
     assert np.allclose(trials["rms_error_m"], [result.rms_error_m for result in results])
     assert "no effects: at least 3 participants" in (tmp_path / "report.html").read_text()
+
+
+class MotorHandle:
+    """A handle that a hand carries to where the study asks; its motors are a real device's."""
+
+    def __init__(self, **more):
+        kind = {"name": "motors", "half_width_m": 0.1, "half_height_m": 0.1, "force_limit_n": 15.0}
+        self.capabilities = JoystickCapabilities(**kind | more)
+        self.place, self.speed, self.dead_man, self.forces = (0.0, 0.0), 0.0, True, []
+
+    def read(self):
+        return JoystickReading(*self.place, self.speed, 0.0, dead_man=self.dead_man)
+
+    def write_force(self, x_n, y_n):
+        self.forces.append((x_n, y_n))
+
+    def show_state(self, state): ...
+
+    def advance(self, dt_ns): ...
+
+
+def test_a_handle_with_motors_takes_part_and_is_without_force_when_it_is_let_go():
+    device = MotorHandle()
+    check_handle(PLAN, device)
+    service, now_ns = StudyTrials(PLAN, device, {}), 5 * NS_PER_S
+    service.handle_time(now_ns)
+    for _ in range(2):
+        service.handle_press(StudyPress(service.show(now_ns).screen), now_ns)
+    results = []
+    for step in range(4000):
+        now_ns += NS_PER_MS
+        if (frame := service.frame) is not None:
+            device.place, device.speed = (frame.target_x_m, frame.target_y_m), 0.25
+        device.dead_man = step > 100
+        service.handle_time(now_ns)
+        results += iter(service.next_result, None)
+    assert len(results) == 1
+    damped = service.trial.planned.condition.damping_n_s_m
+    assert set(device.forces[:100]) == {(0.0, 0.0)}
+    assert (-0.25 * damped, 0.0) in device.forces and damped in (0.0, 8.0)
+
+
+@pytest.mark.parametrize(
+    ("plan", "more", "fix"),
+    [
+        (PLAN, {"force_limit_n": 0.0}, "no motors"),
+        (replace(PLAN, handle=HandleLevels(inertia_kg=(0.0, 1.0))), {}, "inertia_kg out"),
+        (PLAN, {"half_height_m": 0.05}, "bring them closer"),
+        (
+            replace(PLAN, handle=HandleLevels(stiffness_n_m=(0.0, 90.0))),
+            {"force_limit_n": 3.0},
+            "5",
+        ),
+    ],
+)
+def test_a_handle_that_cannot_take_part_is_refused_with_the_reason(plan, more, fix):
+    with pytest.raises(ConfigError, match=fix):
+        check_handle(plan, MotorHandle(**more))

@@ -2,6 +2,7 @@
 
 import json
 
+from pipelines.commands.maintain import OF_SESSION
 from pipelines.session.kept_files import Note
 from pipelines.upkeep.sequence import MaintenanceSequence, StepOutcome
 from pipelines.upkeep.sequence_runner import MaintenanceLog, SequenceRunner
@@ -9,6 +10,8 @@ from pipelines.upkeep.sequence_runner import MaintenanceLog, SequenceRunner
 
 class Watch:
     """A session that announces what it is given, and keeps its notes."""
+
+    name = "lab-1"
 
     def __init__(self):
         self.said, self.notes, self.runs_now = [], [], ""
@@ -47,3 +50,19 @@ def test_announcements_and_milestones_are_said_and_logged(tmp_path):
     kinds = [line["what"] for line in logged]
     assert kinds[:5] == ["announced", "announced", "contact", "step", "milestone"]
     assert logged[4]["text"] == "image is up" and logged[4]["at"]
+
+
+def test_steps_act_on_the_session_of_the_sequence_unless_they_name_another(tmp_path):
+    lines = {
+        "tc robot ping": "tc robot ping --session lab-1",
+        "tc robot ping --session sea-2": "tc robot ping --session sea-2",
+        "file put -- -odd": "file put --session lab-1 -- -odd",
+        "doctor": "doctor",
+    }
+    sequence = MaintenanceSequence(lines, {"tc", "file", "doctor"})
+    with MaintenanceLog(tmp_path / "log") as log:
+        kinds = {"command": (), "say": print, "of_session": OF_SESSION}
+        runner = SequenceRunner(sequence, log, watch=Watch(), **kinds)
+        for meant in lines.values():
+            assert runner.words_of(sequence.next) == meant.split()
+            runner.skip(sequence.next)

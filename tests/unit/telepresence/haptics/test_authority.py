@@ -13,8 +13,8 @@ from telepresence.haptics.sample import (
     pack_greeting,
 )
 
-OURS = pack_command(1, Command(0.0, 0.0, 0))
-THEIRS = pack_feedback(1, Feedback(0.0, 0.0, 0, False))
+OURS = pack_command(1, Command(0.01, 0.0, 0), session=3)
+THEIRS = pack_feedback(1, Feedback(2.0, 0.0, 0, True), session=3)
 
 
 def test_an_order_that_is_given_again_changes_nothing_and_rest_is_needed():
@@ -78,6 +78,10 @@ def test_a_joystick_drives_one_of_two_robots(more):
     assert board.poll_partner(stopped=True) is None and board.poll_partner(stopped=False) is None
     board.handle_partner(theirs, now_ns)
     assert board.state(now_ns) == "driven"
+    seen = board.seen(now_ns + 2 * MS)
+    assert seen[:4] == pytest.approx((0.01, 0.0, 2.0, 0.0), abs=2e-3)
+    assert (seen.contact, seen.age_ns) == (True, 2 * MS)
+    assert board.seen(now_ns + 501 * MS) is None
     assert board.poll_joystick() == theirs and board.poll_joystick() is None
     # A malformed greeting is ignored; the caller counts it.
     garbled = bytes([1]) + asks[0][1:]

@@ -1,10 +1,8 @@
 """The rules of docs/safety.md, one by one, at the robot's side of haptics on virtual time."""
 
-import tomllib
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 
 import pytest
-from positions import ROOT
 
 from kontur_av.clock import NS_PER_MS as MS
 from telepresence.haptics.authority import Authority, ControlAuthority
@@ -299,9 +297,3 @@ def test_limits_must_fit_each_other():
     for wrong in ({"resume_within_s": 0.01}, {"slow_m_s": 0.6}, {"approach_m_s": 0.6}):
         with pytest.raises(ValueError, match="take at"):
             SafetyLimits(**wrong)
-
-
-def test_the_default_limits_are_those_of_the_documents():
-    text = (ROOT / "docs" / "setups.md").read_text(encoding="utf-8")
-    table = "[safety]" + text.partition("\n[safety]")[2].partition("\n[")[0]
-    assert tomllib.loads(table)["safety"] == asdict(SafetyLimits())

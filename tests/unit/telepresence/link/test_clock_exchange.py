@@ -200,7 +200,7 @@ def test_a_clock_that_was_just_met_is_told_more_often():
             sent.append(ms)
         if ms == 12_000:
             end.handle_peer(2, ms * MS)  # the same one
-    # Twenty at 250 ms, later every 2 s: what docs/link-format.md says.
+    # Twenty at 250 ms, later every 2 s: what docs/wire-formats.md says.
     steps = [b - a for a, b in pairwise(sent)]
     assert sent[0] == 1000 and steps == [250] * 20 + [2000] * (len(steps) - 20)
     assert end.report(15 * S).messages_sent == len(sent)

@@ -1,4 +1,4 @@
-"""Compressed headers octet by octet, by hand from docs/link-format.md; and which form goes when.
+"""Compressed headers octet by octet, by hand from docs/wire-formats.md; and which form goes when.
 
 For any source and any loss, no header is restored wrongly: `Path.send` checks all that comes out.
 """

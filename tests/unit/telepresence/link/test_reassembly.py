@@ -1,4 +1,4 @@
-"""Packets from zones, octet by octet, as docs/link-format.md says."""
+"""Packets from zones, octet by octet, as docs/wire-formats.md says."""
 
 from collections import deque
 from dataclasses import replace

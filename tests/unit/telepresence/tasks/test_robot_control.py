@@ -98,7 +98,7 @@ def test_a_trainers_fault_switches_it_off_and_is_reset_once_it_is_over():
     control.handle_exercise(control.now_ns + 1000 * MS)
     control.step(control.now_ns)
     assert (control.powered, control.faults) == (False, 1)
-    assert "exercise" in control.reset()
+    assert "a drive reports" in control.reset()
     control.step(control.now_ns + 1000 * MS)
     assert control.reset() == control.set_power(True) == ""
     assert control.faults == 1

@@ -91,9 +91,7 @@ def test_events_and_commands_have_the_haptic_row_in_which_they_happened(written,
     assert cycles["contact"][rows - 1].all()
     assert not cycles["contact"][rows - 2].any()
     commands = tables["commands"]
-    selected = commands["what"].index(
-        "PUS 8,1: telecommand to application 0x133: function 1 static"
-    )
+    selected = commands["what"].index("PUS 8,1 camera: select static")
     row = int(commands["haptic_down_row"][selected])
     assert 0 <= commands["session_ns"][selected] - tables["haptic_down"]["session_ns"][row - 1] < MS
     kinds = {*zip(commands["kind"], commands["way"], strict=True)}

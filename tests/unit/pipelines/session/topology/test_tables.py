@@ -82,7 +82,7 @@ def test_every_channel_of_a_setup_has_a_line_with_its_documented_ports(name):
     known = [(row.name, row.entry_port, row.exit_port) for row in session.streams]
     for stream, *ports in known:
         assert rows[stream] == tuple(f"127.0.0.1:{port}" for port in ports)
-    text = (ROOT / "docs" / "gateways.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "own-programs.md").read_text(encoding="utf-8")
     written = [line.split("|") for line in text.splitlines() if line.startswith("| `")]
     column = {"spacejustin": 6, "taskboard": 7}[name]
     documented = [

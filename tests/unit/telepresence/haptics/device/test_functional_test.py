@@ -133,7 +133,7 @@ def test_a_command_aborts_it_at_once(pushing, event):
 
 def test_a_fault_aborts_it(pushing):
     pushing.handle.handle_exercise(2_000_000_000)
-    assert_aborted(pushing, 0.02, "exercise")
+    assert_aborted(pushing, 0.02, "no valid reading")
     assert pushing.handle.state == JoystickState.RECOVERABLE
 
 

@@ -15,7 +15,7 @@ from telepresence.link.radio.network import Network
 from telepresence.link.radio.profile import BUILT_IN, Blackout
 from telepresence.link.radio.profile_file import radio_from_table
 
-DOCUMENT = ROOT / "docs" / "radio.md"
+DOCUMENT = ROOT / "docs" / "simulation.md"
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The supervision message octet by octet, as docs/link-format.md defines it, and its pacing."""
+"""The supervision message octet by octet, as docs/wire-formats.md defines it, and its pacing."""
 
 from binascii import crc_hqx
 from dataclasses import replace
