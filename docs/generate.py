@@ -1,7 +1,7 @@
 """Write what documents take from the code.
 
     python docs/generate.py            docs/python.md, from the docstrings of what is exported, and
-                                       the tables of commands, processes, topics and ports
+                                       every part between `<!-- generated: NAME -->` marks
     python docs/generate.py --run      the README's table, too: a session of 20 s on virtual time
 
 Tests check that all but the README's table is up to date. griffe reads source text, so the page is
@@ -452,7 +452,7 @@ def _said_of_fields(kind: type) -> dict[str, str]:
     for entry in re.split(r"\n(?=\w+(?:, \w+)*: )|(?<=\. )(?=\w+(?:, \w+)*: )", text)[1:]:
         names, _, what = entry.partition(": ")
         for name in names.split(", "):
-            found[name] = " ".join(what.split()).partition("\n\n")[0]
+            found[name] = " ".join(what.split()).partition(" Raises ")[0]
     return found
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from kontur_av.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from pipelines.mission.driving import Driving, Observation
     from pipelines.mission.joined_session import GivenInput, JoinedSession, ShownPicture
     from pipelines.session.setup.setup_file import load_setup, setup_from_table
     from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
@@ -13,8 +14,10 @@ if TYPE_CHECKING:
     from pipelines.virtual.simulate import simulate
 
 __all__ = [
+    "Driving",
     "GivenInput",
     "JoinedSession",
+    "Observation",
     "Setup",
     "ShownPicture",
     "Topology",

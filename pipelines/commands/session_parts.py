@@ -30,7 +30,7 @@ from telepresence.haptics.specs import (
 from telepresence.tasks.cosmonaut import Skill
 from telepresence.tasks.task_files import load_plan, load_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
-from telepresence.tmtc.routes import Route, read_routes
+from telepresence.tmtc.routes import TelemetryRoute, read_routes
 from telepresence.tmtc.telemetry_source import Component, load_components
 
 
@@ -73,7 +73,7 @@ def checked_components(
     return load_components(args.telemetry, built_in_dictionary())
 
 
-def load_routes(path: Path | None) -> tuple[Route, ...]:
+def load_routes(path: Path | None) -> tuple[TelemetryRoute, ...]:
     """Return the routes of a file; none without one. ConfigError, with its line."""
     if path is None:
         return ()

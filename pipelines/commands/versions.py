@@ -85,9 +85,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_list(keeper: VersionKeeper) -> None:
-    record = keeper.read()
+    record, runs = keeper.read(), keeper.runs
     rows = [(name, state.value) for name, state in record.versions]
     for name, state in [*rows, (ELEMENTARY, "always there")]:
-        notes = ["runs"] if name == record.current else []
+        notes = ["runs" if runs else "runs next"] if name == record.current else []
         notes += ["set aside"] if name in record.tried else []
         say("  ".join([f"{name:<20}", f"{state:<12}", ", ".join(notes)]).rstrip())

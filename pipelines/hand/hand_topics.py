@@ -8,6 +8,7 @@ from pipelines.session.topic import Topic
 from telepresence.haptics.authority import Authority, AuthorityMetrics
 from telepresence.haptics.device.handle import Drive
 from telepresence.haptics.device.page import PageInput
+from telepresence.haptics.device.policy import Place, PolicyMessage
 from telepresence.haptics.device.states import ExperimentName, JoystickEvent
 
 #: Texts are cut to this length, so that a state stays short.
@@ -17,6 +18,27 @@ HAND_INPUT_TOPIC = Topic[PageInput](
     "hand/input", PageInput, "where a page's hand wants the handle, dead-man button"
 )
 ROS2_HAND_TOPIC = Topic[PageInput]("hand/ros2", PageInput, "the same of a ROS 2 node's hand")
+POLICY_TOPIC = Topic[PolicyMessage](
+    "hand/policy", PolicyMessage, "where a policy's program wants the robot"
+)
+
+
+class DriverState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
+    """Who has the handle at the operator's seat.
+
+    who: a person or the policy; "" for nobody. policy: one that is there and may drive.
+    drives: it is obeyed: it presses the dead-man button. wanted: where it wants the robot, by
+    `axes`: m, of rotations rad; empty: nowhere.
+    """
+
+    who: str = ""
+    policy: str = ""
+    drives: bool = False
+    axes: tuple[str, ...] = ()
+    wanted: Place = ()
+
+
+DRIVER_TOPIC = Topic[DriverState]("hand/driver", DriverState, "who has the handle")
 
 
 class HandRequest(NamedTuple):
@@ -90,6 +112,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     by the figures' names; None where nothing could be.
     experiment: of the present or the next application. partner: whether a partner's robot is
     there; None: the session has none.
+    handed: number of the newest telecommand that hands over, and to whom, "policy" or "person".
     """
 
     state: int
@@ -123,6 +146,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     frozen: bool = False
     held: bool = False
     request: str = ""
+    handed: tuple[int, str] = (0, "")
 
 
 JOYSTICK_STATE_TOPIC = Topic[JoystickStatus](

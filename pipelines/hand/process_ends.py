@@ -6,6 +6,7 @@ from dataclasses import fields
 
 from kontur_av.topics.bus import TopicBus
 from pipelines.hand.hand_topics import (
+    DRIVER_TOPIC,
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
     JOYSTICK_COMMAND_TOPIC,
@@ -263,6 +264,7 @@ class _Joystick:
         asked = HAND_REQUEST_TOPIC in reads
         self._requests = TopicReader(bus, HAND_REQUEST_TOPIC, depth=_REQUESTS, opened=asked)
         self._commands = TopicReader(bus, JOYSTICK_COMMAND_TOPIC, depth=_REQUESTS)
+        self._drivers = TopicReader(bus, DRIVER_TOPIC, opened=DRIVER_TOPIC in reads)
         self._stop_bit = StopBit()
         self._view = OperatorView(setup)
         self._lags = TopicReader(bus, topology.video(setup.uplink_video.name).lag_topic)
@@ -298,6 +300,9 @@ class _Joystick:
     def _serve(self, now_ns: int) -> None:
         """Take persons' commands and telecommands, and publish the joystick's state."""
         teller = self._teller
+        if (driver := self._drivers.latest()) is not None:
+            operation = self._handle.operation
+            operation.policy, operation.driver = driver.policy, driver.who
         # One at a time, so that each has its own answer.
         if (request := self._requests.next()) is not None:
             teller.handle_request(request)

@@ -274,7 +274,7 @@ class JoystickStatusTeller(WatchedTopic):
             handle.blind,
             handle.frozen,
         )
-        experiment = (operation.experiment, operation.partner)
+        experiment = (operation.experiment, operation.partner, operation.handed)
         hand = (operation.state, handle.dead_man, handle.pressed, reason)
         present = (*hand, operation.held, test, *experiment, answered, commanded, *robot)
         if present == self._told and now_ns < self._anew_ns:
@@ -324,4 +324,5 @@ class JoystickStatusTeller(WatchedTopic):
             test_metrics={figure.name: figure.value for figure in test.metrics},
             experiment=operation.experiment,
             partner=operation.partner,
+            handed=operation.handed,
         )

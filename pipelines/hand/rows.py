@@ -3,6 +3,7 @@
 from pipelines.hand.hand_topics import (
     ARM_ORDER_TOPIC,
     ARM_STATE_TOPIC,
+    DRIVER_TOPIC,
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
     JOYSTICK_COMMAND_TOPIC,
@@ -104,7 +105,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 WALL_TOPIC,
                 # How old the picture is that the operator sees.
                 session.video(setup.uplink_video.name).lag_topic,
-                *given(options.joystick == PAGE, HAND_INPUT_TOPIC),
+                *given(options.joystick == PAGE, HAND_INPUT_TOPIC, DRIVER_TOPIC),
                 *given(options.joystick == ROS2_HAND, ROS2_HAND_TOPIC),
                 HAND_REQUEST_TOPIC,
                 JOYSTICK_COMMAND_TOPIC,

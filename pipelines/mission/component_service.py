@@ -32,7 +32,7 @@ from telepresence.tmtc.pus.dictionary import Application
 from telepresence.tmtc.pus.user import EventReport
 from telepresence.tmtc.pus.values import Value
 from telepresence.tmtc.retransmission import Retransmission
-from telepresence.tmtc.routes import Route
+from telepresence.tmtc.routes import TelemetryRoute
 from telepresence.tmtc.telemetry_source import FunctionCall, TelemetryReading, TelemetrySource
 
 #: How often the component is read.
@@ -76,7 +76,7 @@ class ComponentService:
         now_ns: int,
         client: str,
         settings: Mapping[str, Value],
-        routes: Iterable[Route] = (),
+        routes: Iterable[TelemetryRoute] = (),
     ) -> None:
         self.settings: Values = {}
         self._source, self._table, self._client = source, table, client

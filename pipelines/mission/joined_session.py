@@ -12,7 +12,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import SystemRandom
-from typing import Generic, Literal, Self, TypeVar
+from typing import Any, Generic, Literal, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -26,6 +26,7 @@ from kontur_av.topics.bus import Lease, TopicBus, Writer
 from kontur_av.topics.session_files import choose_session
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, rows_of
 from pipelines.mission.choosing import CAMERA, SELECT
+from pipelines.mission.driving import Driving
 from pipelines.mission.tmtc_messages import CommandUpdate, command_from_words
 from pipelines.mission.tmtc_socket import TMTC_SOCKETS, Sending, read_dictionary, tmtc_socket_name
 from pipelines.session.requests import running_sessions
@@ -46,12 +47,13 @@ class ShownPicture:
     """A picture on a display of the session.
 
     data: RGB, shape (height, width, 3), uint8.
-    age_ms: since its capture, at the moment of handing over.
+    age_ms: since its capture, at the moment of handing over. captured_ns: of the monotonic clock.
     """
 
     data: NDArray[np.uint8]
     age_ms: float
     quality: Quality
+    captured_ns: int = 0
 
 
 class TopicFeed(Generic[_T]):
@@ -104,6 +106,10 @@ class TopicFeed(Generic[_T]):
                         raise StopAsyncIteration from None
         finally:
             loop.remove_reader(self._waiter.fileno())
+
+    def latest(self) -> _T | None:
+        """Return what is new, or None; it never waits."""
+        return self._take()
 
     def _take(self) -> _T | None:
         lease = self._reader.latest() if self._newest else self._reader.next()
@@ -187,6 +193,17 @@ class JoinedSession(Closing):
         """
         return GivenInput(self._bus, name)
 
+    def drive(self, policy: Any, *, name: str = "", hz: float = 20.0, shadow: bool = False) -> None:
+        """Call `policy.step` with an `Observation` `hz` times a second, until the session ends.
+
+        It returns where the robot is to be, as `taken_action` of `telepresence` takes it. A person
+        hands the handle over at a page or by `tc joystick policy`, and any takes it back. A step
+        that fails lets go, with one line; so does a silent one. name: its class by default.
+        """
+        with Driving(self, name or type(policy).__name__, hz=hz, shadow=shadow) as driving:
+            while driving.wait():
+                driving.step(policy.step)
+
     def select(self, camera: str) -> CommandUpdate:
         """Select the camera of the uplink, and wait for the ground's answer; as `command`."""
         return self.command(CAMERA, SELECT, camera)
@@ -240,6 +257,7 @@ class JoinedSession(Closing):
             cv2.cvtColor(frame.data, cv2.COLOR_YUV2RGB_I420).astype(np.uint8, copy=False),
             (self._clock.now_ns() - frame.stamp.capture_ns) / NS_PER_MS,
             frame.stamp.quality,
+            frame.stamp.capture_ns,
         )
 
 

@@ -17,6 +17,7 @@ from pipelines.mission.tmtc_messages import (
     TMTC_TOPICS,
     CommandUpdate,
     FunctionAsked,
+    RaiseEvent,
     SendCommand,
 )
 from pipelines.mission.tmtc_socket import TmtcClient, send_to_tmtc
@@ -94,7 +95,7 @@ def run_panel(context: Context) -> None:
         writer = TopicWriter(bus, MISSION_PANEL_TOPIC)
         states = TopicReader(bus, JOYSTICK_STATE_TOPIC, depth=_STATES)
         links = TopicReader(bus, link_state_topic(Segment.SPACE))
-        pressed, ticks = None, 0
+        pressed, ticks, mode = None, 0, None
         while not context.stopping:
             now_ns = clock.now_ns()
             if (link := links.latest()) is not None:
@@ -128,8 +129,12 @@ def run_panel(context: Context) -> None:
                 dead_man=status is not None and status.dead_man,
             )
             writer.publish(shown, now_ns)
-            if ticks % _PUBLISH_EVERY == 0:
+            if ticks % _PUBLISH_EVERY == 0 or view.mode is not mode:
                 client.publish({"mode": view.mode.value, "run": view.run})
+            if view.mode is not mode:
+                # Its report comes every 10 s only.
+                mode = view.mode
+                send_to_tmtc(context.session, Segment.SPACE, RaiseEvent(PANEL, "mode_changed"))
             ticks += 1
             context.tick(now_ns)
             clock.sleep_until_ns(now_ns + _TICK_NS)

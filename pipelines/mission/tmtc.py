@@ -48,7 +48,7 @@ from telepresence.tmtc.pus.user import (
 )
 from telepresence.tmtc.pus.verification import VerificationStage
 from telepresence.tmtc.pus.xtce_commands import FOREIGN_SOURCES
-from telepresence.tmtc.routes import PERIOD_S, TO_GROUND, Route
+from telepresence.tmtc.routes import PERIOD_S, TO_GROUND, TelemetryRoute
 
 #: What PUS may take of its direction of the link: half of what the level TMTC may.
 PUS_RATE_BPS = 4_000
@@ -92,7 +92,7 @@ class TmtcEnd:
         boot_id: int,
         epoch_ns: int = 0,
         delay_ns: int = 0,
-        routes: Iterable[Route] = (),
+        routes: Iterable[TelemetryRoute] = (),
     ) -> None:
         self._epoch_ns = epoch_ns
         #: By application: which of its data go to components, and when they may again.

@@ -12,10 +12,12 @@ from mcap.records import Channel, Schema
 
 from kontur_av.sources.recorded_format import FORMAT, FORMAT_KEY
 from kontur_av.streams.coded_unit import CodedUnit
+from pipelines.hand.hand_topics import DRIVER_TOPIC, DriverState
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, HapticBlock
 from pipelines.link.link_metrics import gateway_topic
 from pipelines.recording.recorded_messages import (
     AUDIO,
+    DRIVER,
     EVENT,
     EXPERIMENT,
     HAPTIC_SAMPLES,
@@ -46,6 +48,7 @@ from pipelines.session.topic import AnyTopic, OpusPacket, PacketOctets
 from pipelines.session.topology.rows import Frames, Kind, VideoRow
 from pipelines.session.topology.table import Topology
 from pipelines.session.topology.topics import (
+    JOYSTICK,
     RTC_CAMERA,
     RTC_CODED_CAMERA_TOPIC,
     RTC_CODED_VOICE_TOPIC,
@@ -82,6 +85,7 @@ _SCHEMAS: Mapping[Any, tuple[MessageSchema, ...]] = {
     None: (VIDEO,),
     ExperimentShown: (EXPERIMENT,),
     LedsShown: (LED_PANEL,),
+    DriverState: (DRIVER,),
     PanelShown: (MISSION_PANEL,),
 }
 
@@ -206,7 +210,10 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
         (MISSION_GROUND_TOPIC, "experiment"),
         (MISSION_LEDS_TOPIC, "leds"),
         (MISSION_PANEL_TOPIC, "panel"),
+        (DRIVER_TOPIC, "driver"),
     )
+    if DRIVER_TOPIC not in topology.reads(JOYSTICK):
+        written.discard(DRIVER_TOPIC)
     for shown, name in changes:
         if shown in written:
             yield Source(shown, name, {f"/{name}": f"{shown.what}, at each change"})

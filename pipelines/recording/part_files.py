@@ -73,7 +73,7 @@ def check_recordable(path: Path, *, overwrite: bool, sources: Iterable[str] = ()
         trial.unlink()
 
 
-class RecordedCameras(NamedTuple):
+class CameraRecording(NamedTuple):
     """choice: of the cameras, "all" or "carried". octets_per_s: that all of them need."""
 
     choice: Literal["all", "carried"]
@@ -81,7 +81,7 @@ class RecordedCameras(NamedTuple):
     octets_per_s: float
 
 
-def recorded_cameras(path: Path, setup: Setup, asked: str = "") -> RecordedCameras:
+def recorded_cameras(path: Path, setup: Setup, asked: str = "") -> CameraRecording:
     """Decide which cameras a recording at `path` has. asked: "all", "carried", or "" for neither.
 
     Where neither asks for it, all are recorded if the disk has room for an hour.
@@ -93,14 +93,14 @@ def recorded_cameras(path: Path, setup: Setup, asked: str = "") -> RecordedCamer
     need = f"all {len(streams)} take up to {60 * octets_per_s / 1e6:.0f} MB a minute"
     fits = octets_per_s * _ROOMY_S <= free
     if asked == "all" or (asked == "auto" and fits):
-        return RecordedCameras("all", f"cameras at full rate: {need}", octets_per_s)
+        return CameraRecording("all", f"cameras at full rate: {need}", octets_per_s)
     words = f"cameras as carried, others at 5 Hz: {need}"
     if asked == "auto":
         words += f", and the disk has {free / 1e6:.0f} MB free (--record-cameras all)"
-    return RecordedCameras("carried", words, octets_per_s)
+    return CameraRecording("carried", words, octets_per_s)
 
 
-def check_disk(path: Path, cameras: RecordedCameras, seconds: float) -> None:
+def check_disk(path: Path, cameras: CameraRecording, seconds: float) -> None:
     """Raise ConfigError if the disk of `path` has no room for all cameras for so many seconds.
 
     A recording without all cameras needs little, and is not checked.

@@ -19,6 +19,7 @@ from kontur_av.errors import ProtocolError, refused
 from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand import haptic_trace
+from pipelines.hand.hand_topics import DriverState
 from pipelines.recording.schemas import (
     FOXGLOVE,
     OWN,
@@ -183,6 +184,20 @@ class RecordedLeds(Recorded):
         spot_x_m, spot_y_m = shown.spot_m
         place = {"spot_x_m": spot_x_m, "spot_y_m": spot_y_m}
         return gathered(cls, shown, session_ns=session_ns, pattern=shown.pattern.value, **place)
+
+
+@record("Driver", "who has the handle, and where a policy wants the robot; told when it changes")
+class RecordedDriver(Recorded):
+    session_ns: Annotated[Int64, "session clock"]
+    who: Annotated[Text, "a person or a policy; empty: nobody"]
+    policy: Annotated[Text, "the policy that is there and may drive"]
+    drives: Annotated[Bool, "the policy presses the dead-man button: it is obeyed"]
+    axes: Annotated[Sequence[Text], "the robot's axes"]
+    wanted: Annotated[Sequence[Double], "by axis, m or rad; empty: nowhere"]
+
+    @classmethod
+    def of(cls, state: DriverState, session_ns: int) -> "RecordedDriver":
+        return gathered(cls, state, session_ns=session_ns)
 
 
 @record("TransferFrames", "frames of the radio link; both fields have the same number of values")
@@ -455,11 +470,12 @@ TRANSFER_FRAMES, LINK_SENT = RecordedFrames.schema, LinkSent.schema
 LINK_RECEIVED, EVENT = LinkReceived.schema, RecordedEvent.schema
 LOSSES, METRICS = RecorderLosses.schema, RecordedMetrics.schema
 EXPERIMENT, LED_PANEL = RecordedExperiment.schema, RecordedLeds.schema
-MISSION_PANEL = RecordedPanel.schema
+MISSION_PANEL, DRIVER = RecordedPanel.schema, RecordedDriver.schema
 #: All schemas; a channel names its own by its place here.
 SCHEMAS = (
     *(VIDEO, AUDIO, LOG, UNIT_METADATA, HAPTIC_SAMPLES, SPACE_PACKET, TRANSFER_FRAMES),
     *(LINK_SENT, LINK_RECEIVED, EVENT, LOSSES, METRICS, EXPERIMENT, LED_PANEL, MISSION_PANEL),
+    DRIVER,
 )
 #: The `sequence` of a cycle without a sample on the link.
 NO_SAMPLE: Final = haptic_trace.NO_SAMPLE

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.media import CaptureStamp
+from pipelines.hand.hand_topics import DriverState
 from pipelines.hand.haptic_trace import CONTACT, HapticBlock, rows_of
 from pipelines.media.joined_units import StreamUnit
 from pipelines.recording import recorded_messages as messages
@@ -66,6 +67,7 @@ _WARNINGS = frozenset({"process", "stale", "recorder"})
 _SHOWN: Mapping[Any, Callable[..., messages.Recorded]] = {
     ExperimentShown: messages.RecordedExperiment.of,
     LedsShown: messages.RecordedLeds.of,
+    DriverState: messages.RecordedDriver.of,
     PanelShown: messages.RecordedPanel.of,
 }
 

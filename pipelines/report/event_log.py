@@ -16,11 +16,12 @@ from pipelines.report.collector import Collector
 from pipelines.report.silence import shown_now, silences
 from pipelines.report.upkeep_now import UPKEEP, UpkeepNow
 from pipelines.report.warnings import TOO_BUSY
+from pipelines.seats.page_metrics import PageMetrics
 from pipelines.session.session_metrics import DatedEvent, Event, ProcessNow, TrainerMetrics
 from pipelines.session.session_switch import Activity, SessionSwitch
 from pipelines.session.setup.segments import Segment
 from pipelines.session.task_journal import KEPT, OPEN
-from pipelines.session.topology.topics import TASKS, TRAINER, component_process
+from pipelines.session.topology.topics import PAGES, TASKS, TRAINER, component_process
 from telepresence.haptics.authority import AuthorityEvent, AuthorityMetrics
 from telepresence.haptics.envelope import SafetyMetrics
 from telepresence.haptics.haptic_metrics import JoystickMetrics, RobotMetrics
@@ -125,6 +126,8 @@ class EventLog:
         yield from self._dated("camera", process("selector").total(SelectorMetrics).focuses)
         yield from self._dated("robot", () if arm is None else arm.events)
         yield from self._dated("robot", process("robot").total(SafetyMetrics).events, "stop")
+        seat = process(PAGES[Segment.SPACE]).total(PageMetrics)
+        yield from self._dated("handle", seat.drivers)
         # Events of users' components in telemetry, and their faults.
         for component in self._collector.topology.options.components:
             name = component.application.name

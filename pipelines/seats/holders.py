@@ -30,12 +30,14 @@ class HandleAuthority:
     Each `handle_` returns "" or one line that says why it was refused. A page that may only watch
     is never joined, so all that it asks is refused. Inputs count only while `may_move` is true.
 
-    state: for the display. `next_event` returns it after each change.
+    state: for the display. `next_event` returns it after each change. policy: number of the one
+    that has joined, from which a person takes the handle without asking.
     """
 
     def __init__(self) -> None:
         self.state = HandleState()
         self._pages: dict[int, str] = {}
+        self.policy: int | None = None
         self._shown = self.state
 
     def handle_joined(self, page: int, name: str) -> None:
@@ -62,7 +64,7 @@ class HandleAuthority:
         holder = self.state.holder
         if holder == page:
             return ""
-        if holder is not None:
+        if holder not in (None, self.policy):
             return f"take: {self.name(holder)} has the handle: ask for it"
         self.state = HandleState(page)
         return ""
@@ -70,18 +72,26 @@ class HandleAuthority:
     def handle_ask(self, page: int) -> str:
         """The page asks the holder for the handle; it takes a free one."""
         holder, wanted_by = self.state
-        if page not in self._pages or holder is None or holder == page:
+        if page not in self._pages or holder in (None, page, self.policy):
             return self.handle_take(page)
         if wanted_by not in (None, page):
             return f"ask: {self.name(wanted_by)} has asked before"
         self.state = HandleState(holder, page)
         return ""
 
-    def handle_give(self, page: int) -> str:
+    def handle_give(self, page: int | None) -> str:
         """The holder gives the handle to the page that asked for it, or frees it."""
-        if page != self.state.holder:
+        if page is None or page != self.state.holder:
             return "give: this page does not hold the handle"
         self.state = HandleState(self.state.wanted_by)
+        return ""
+
+    def handle_let(self, page: int | None) -> str:
+        """A person hands over to the policy; page: where, None: by a telecommand."""
+        holder = self.state.holder
+        if holder not in (None, page, self.policy):
+            return f"policy: {self.name(holder)} has the handle: ask for it"
+        self.state = HandleState(self.policy)
         return ""
 
     def handle_refuse(self, page: int) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from kontur_av.metrics import Newest
+from telepresence.haptics.authority import AuthorityEvent
 
 #: Name of the figure that tells ground control which page holds the handle.
 HOLDER = "hand.holder"
@@ -33,3 +34,9 @@ class PageMetrics:
     watching: Newest[int] = 0
     #: Number of the page that holds the handle; 0: nobody does.
     holder: Newest[int] = 0
+    #: Who has the handle, a person or a policy; empty: nobody.
+    driver: Newest[str] = ""
+    #: For how long (ms) a `person` and a `policy` had the handle.
+    driven_ms: Mapping[str, int] = field(default_factory=dict)
+    #: Who drove, and why a policy let go: the newest 50.
+    drivers: Newest[tuple[AuthorityEvent, ...]] = ()

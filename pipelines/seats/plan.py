@@ -37,9 +37,10 @@ from pipelines.session.topology.topics import (
 )
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
+from telepresence.haptics.device.policy import PolicyAxis, policy_axes
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.specs import is_simulated
+from telepresence.haptics.specs import PAGE, is_simulated
 from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
@@ -95,6 +96,7 @@ class SeatPlan:
     shown: what processes of the mission show here: by kind of text, the topic.
     device: the joystick's, as `Known` has it. answers_ns: a press is answered within this time.
     orders: whether its pages may start and stop the session; in space only if it runs here whole.
+    axes: of the robot, as a policy has them; none where no page moves the joystick.
     """
 
     segment: Segment
@@ -108,6 +110,7 @@ class SeatPlan:
     orders: bool
     device: str
     answers_ns: int
+    axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
     @property
@@ -132,6 +135,7 @@ def seat_plan(
     setup = topology.setup
     written = {topic for row in topology.processes for topic in row.writes}
     ground, tasked = segment is Segment.GROUND, topology.options.tasks
+    moved = topology.options.joystick == PAGE
     has_board = tasked or (topology.options.robot == SIMULATED_ROBOT and not setup.marks)
     streams = tuple(_streams(topology, segment))
     previews = dict(_previews(topology)) if ground else {}
@@ -142,7 +146,12 @@ def seat_plan(
         session=session,
         streams=tuple(each.text for each in streams),
         cameras=tuple(
-            texts.CameraText(name=row.name, inputs=row.inputs) for row in topology.cameras
+            texts.CameraText(
+                name=row.name,
+                inputs=row.inputs,
+                layout=row.composition.layout if row.composition else "",
+            )
+            for row in topology.cameras
         ),
         previews=tuple(previews),
         inputs=tuple(_input_text(each) for each in inputs),
@@ -166,6 +175,9 @@ def seat_plan(
         task_list=tuple(
             texts.TaskText(name=task.name, text=task.text)
             for task in (() if tasks is None else tasks.tasks.values())
+            # What cannot be done here is not offered.
+            if not (task.two_handed and setup.partner_arm != "second")
+            and set(task.cameras) <= set(setup.cameras)
         ),
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
@@ -183,6 +195,7 @@ def seat_plan(
         orders=ground or len(topology.segments) > 1,
         device=SIMULATED if is_simulated(topology.options.joystick) else topology.options.joystick,
         answers_ns=round(setup.safety.hand_max_age_s * NS_PER_S) + setup.round_trip_ns,
+        axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
         text=text,
     )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from aiohttp import web
 
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
 from kontur_av.topics.bus import TopicBus
 from pipelines.mission.supervisor import session_dictionary
@@ -59,6 +60,8 @@ _OTHERS = {
     Segment.SPACE: ("", "panel", "k2cp", "trainer"),
     Segment.GROUND: ("", "top", "k2sv", "systems", "trainer"),
 }
+#: How often a policy's hand moves, and how often it is looked whether there is one.
+_POLICY_S, _DRIVER_S = 0.01, 0.1
 #: In the query of a socket: without pictures, sound and haptics.
 _PLAIN = "plain"
 
@@ -86,7 +89,7 @@ class PageServer:
         self._serving = ServingLoop(context, self._handle_time)
         self._sockets = SeatSockets(self._now_ns)
         self._wakes: dict[int, asyncio.Event] = {}
-        self._media = 0
+        self._media, self._watched = 0, False
         self._topics = SeatTopics(
             self._seat, self._serving, bus, now_ns=self._now_ns, settle=self._settle
         )
@@ -97,16 +100,18 @@ class PageServer:
         """Serve, and close all sockets in the end."""
         self._context.on_flush(self._publish)
         self._topics.open()
+        self._policy_time()
         if self._context.link is not None:
             self._serving.loop.add_reader(self._context.link.fileno(), self._metrics)
         try:
             async with self._site.served("pipelines.seats", self._answer, self._sockets.close):
                 await self._serving.run()
         finally:
+            self._timer.cancel()
             self._topics.close()
 
     def _handle_time(self, now_ns: int) -> None:
-        if self._seat.watching:
+        if self._watched:
             self._topics.look(now_ns)
             self._deeds.look(now_ns)
             self._upkeep.look(now_ns)
@@ -119,13 +124,23 @@ class PageServer:
             self._seat.handle_session(news, self._now_ns())
         self._settle()
 
+    def _policy_time(self) -> None:
+        """Move the hand of a policy every 10 ms; without one, see ten times a second who drives."""
+        self._seat.handle_policy_time(self._now_ns())
+        self._settle()
+        period_s = _POLICY_S if self._seat.policy.name else _DRIVER_S
+        self._timer = self._serving.loop.call_later(period_s, self._policy_time)
+
     def _watch(self) -> None:
-        self._topics.watch(self._seat.watching > 0)
+        self._watched = self._seat.watched
+        self._topics.watch(self._watched)
         # The launcher sends figures only when it knows.
         self._context.flush(self._now_ns())
 
     def _settle(self) -> None:
         """Do what the seat has decided, and wake the pages for which something waits."""
+        if self._watched is not self._seat.watched:
+            self._watch()
         self._deeds.do()
         for number, wake in self._wakes.items():
             if self._seat.waits(number):
@@ -163,8 +178,6 @@ class PageServer:
             return page.ws
         plain = request.query_string == _PLAIN
         number = self._seat.handle_opened(role, self._now_ns(), plain=plain)
-        if self._seat.watching == 1:
-            self._watch()
         self._wakes[number] = asyncio.Event()
         self._settle()
         take, send = partial(self._take_seat, number), partial(self._next_message, number)
@@ -174,8 +187,6 @@ class PageServer:
             self._wakes.pop(number)
             self._seat.handle_closed(number, self._now_ns())
             self._settle()
-            if not self._seat.watching:
-                self._watch()
         return page.ws
 
     async def _next_message(self, number: int) -> Message:
@@ -228,11 +239,14 @@ class PageServer:
             answers.put_nowait(result)
 
     def _publish(self) -> None:
-        sockets = self._sockets
+        sockets, guest = self._sockets, self._seat.policy
         self._context.probe.publish(
             PageMetrics(
                 watching=self._seat.watching,
                 holder=self._seat.holder or 0,
+                driver=guest.who,
+                driven_ms={who: ns // NS_PER_MS for who, ns in guest.driven_ns.items()},
+                drivers=tuple(guest.events),
                 connections=sockets.connections,
                 refused=dict(self._site.refused),
                 unauthenticated_closed=self._site.closed,

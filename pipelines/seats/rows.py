@@ -2,7 +2,13 @@
 
 from collections.abc import Iterable
 
-from pipelines.hand.hand_topics import HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC, JOYSTICK_STATE_TOPIC
+from pipelines.hand.hand_topics import (
+    DRIVER_TOPIC,
+    HAND_INPUT_TOPIC,
+    HAND_REQUEST_TOPIC,
+    JOYSTICK_STATE_TOPIC,
+    POLICY_TOPIC,
+)
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
 from pipelines.media.following import SELECTED_TOPIC
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
@@ -35,11 +41,16 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             SELECTED_TOPIC,
             ROBOT_TRACE_TOPIC,
         ),
-        Segment.SPACE: (MISSION_PANEL_TOPIC, JOYSTICK_STATE_TOPIC, JOYSTICK_TRACE_TOPIC),
+        Segment.SPACE: (
+            MISSION_PANEL_TOPIC,
+            JOYSTICK_STATE_TOPIC,
+            JOYSTICK_TRACE_TOPIC,
+            POLICY_TOPIC,
+        ),
     }
     told: dict[Segment, tuple[AnyTopic, ...]] = {
         Segment.GROUND: (),
-        Segment.SPACE: (HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC),
+        Segment.SPACE: (HAND_INPUT_TOPIC, HAND_REQUEST_TOPIC, DRIVER_TOPIC),
     }
     return tuple(
         ProcessRow(

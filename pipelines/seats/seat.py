@@ -9,7 +9,7 @@ from msgspec.structs import asdict, replace
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ProtocolError
-from pipelines.hand.hand_topics import HandRequest, JoystickStatus
+from pipelines.hand.hand_topics import DriverState, HandRequest, JoystickStatus
 from pipelines.mission.tmtc_messages import SetValues, TmtcNews, TmtcRequest, Values
 from pipelines.seats import texts
 from pipelines.seats.holders import HandGate, HandleAuthority, JoystickClient, OwnInputs
@@ -17,6 +17,7 @@ from pipelines.seats.mission_client import MissionClient
 from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
 from pipelines.seats.page_metrics import HOLDER
 from pipelines.seats.plan import SeatPlan, Shown
+from pipelines.seats.policy_guest import PolicyGuest
 from pipelines.session.access import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus
 from pipelines.session.page_messages import Ping, pack_pong, parse_seat_message
@@ -29,6 +30,7 @@ from telepresence.haptics.device import states
 from telepresence.haptics.device.functional_test import Outcome
 from telepresence.haptics.device.handle import Drive
 from telepresence.haptics.device.page import PageInput
+from telepresence.haptics.device.policy import PolicyMessage
 from telepresence.haptics.envelope import Hold
 from telepresence.tasks.definitions import ControlMode
 
@@ -50,15 +52,17 @@ class StopAsked(NamedTuple):
     by: str
 
 
-#: What to tell: the joystick of the hand or of a command, the launcher of an order; recorder,
-#: trainer and the TM/TC end of this segment of what is asked.
-SeatEvent = PageInput | HandRequest | Order | PageRequest | StopAsked | TmtcRequest
+#: What to tell: the joystick of the hand or of a command, all of who has the handle, the launcher
+#: of an order; recorder, trainer and the TM/TC end of this segment of what is asked.
+SeatEvent = PageInput | DriverState | HandRequest | Order | PageRequest | StopAsked | TmtcRequest
 
 #: Pages that are open at a time: of viewers, and of all who may act.
 MOST_VIEWERS, MOST_ACTING = 12, 12
 HEARTBEAT_NS = 100 * NS_PER_MS
 #: What has been silent for longer is not heard.
 _HEARD_NS = 2 * NS_PER_S
+#: How often it is told where a policy wants the robot.
+_DRIVER_NS = 50 * NS_PER_MS
 #: How often the telemetry of K2CP is told.
 _K2CP_NS = 5 * NS_PER_S
 #: As many as the launcher keeps.
@@ -141,6 +145,8 @@ class Seat:
             "refuse": self._hand.handle_refuse,
         }
         self._gate = HandGate(self._hand)
+        self.policy = PolicyGuest(plan.axes, self._hand, self._numbers)
+        self._driver_due_ns = 0
         self._service = JoystickClient(first_command)
         self.mission = MissionClient(
             plan.segment, plan.dictionary, client=f"page.{plan.segment.value}.{first_command}"
@@ -168,6 +174,11 @@ class Seat:
     @property
     def watching(self) -> int:
         return len(self._pages)
+
+    @property
+    def watched(self) -> bool:
+        """Whether a page is open or a policy is there."""
+        return bool(self._pages or self.policy.name)
 
     @property
     def left_out(self) -> int:
@@ -301,6 +312,8 @@ class Seat:
             case texts.JoystickRequest():
                 event = states.JoystickEvent(request.event)
                 self._service.handle_request(number, request.request, event)
+            case texts.HandleRequest(action="policy"):
+                return self.policy.handle_let(number, now_ns)
             case texts.HandleRequest():
                 return self._hand_over[request.action](number)
             case texts.SessionRequest():
@@ -347,10 +360,16 @@ class Seat:
         elif self._held_ns is None:
             self._held_ns = now_ns
         self._service.handle_status(status)
+        self.policy.handle_status(status, now_ns)
         self._settle(now_ns)
         if told != self._joystick:
             self._joystick = told
             self._publish_state(now_ns)
+
+    def handle_policy(self, message: PolicyMessage, now_ns: int) -> None:
+        """A policy's program says where it wants the robot."""
+        self.policy.handle_message(message, now_ns)
+        self._settle(now_ns)
 
     def handle_signal(self, heard: bool, now_ns: int) -> None:
         """Whether this end of the link hears its peer."""
@@ -412,6 +431,17 @@ class Seat:
 
     # Time
 
+    def handle_policy_time(self, now_ns: int) -> None:
+        """Move the policy's hand, and tell who drives; every 10 ms while a policy is there."""
+        if (moved := self.policy.poll(now_ns)) is not None:
+            hand = self._gate.handle_input(*moved)
+            if hand is not None:
+                self._events.append(hand)
+        self._settle(now_ns)
+        if now_ns >= self._driver_due_ns:
+            self._driver_due_ns = now_ns + _DRIVER_NS
+            self._events.append(self.policy.state)
+
     def handle_time(self, now_ns: int) -> None:
         """Send the heartbeat if it is due."""
         self._service.handle_timeout(now_ns)
@@ -466,6 +496,7 @@ class Seat:
                     wanted_by=hand.wanted_by,
                     who=self._hand.name(hand.holder),
                     asks=self._hand.name(hand.wanted_by),
+                    policy=self.policy.state.policy,
                 ),
                 inputs=self.inputs.owners,
             )
@@ -553,6 +584,7 @@ class Seat:
 
     def _settle(self, now_ns: int) -> None:
         """Pass on what hand, joystick and mission have to say after an input."""
+        self.policy.settle(now_ns)
         released = self._gate.poll_release(now_ns)
         if released is not None:
             self._events.append(released)

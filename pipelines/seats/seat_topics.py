@@ -13,14 +13,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import CaptureStamp
 from kontur_av.streams.coded_unit import CodedUnit
 from kontur_av.topics.bus import Lease, TopicBus
 from pipelines.hand.hand_topics import (
+    DRIVER_TOPIC,
     HAND_INPUT_TOPIC,
     HAND_REQUEST_TOPIC,
     JOYSTICK_STATE_TOPIC,
+    POLICY_TOPIC,
+    DriverState,
     HandRequest,
 )
 from pipelines.media.following import SELECTED_TOPIC
@@ -133,6 +136,7 @@ class SeatTopics:
             yield _Fed(topic, partial(self._preview, preview), 1)
         if plan.segment is Segment.SPACE:
             yield _Fed(JOYSTICK_STATE_TOPIC, self._status)
+            yield _Fed(POLICY_TOPIC, self._policy, always=True)
 
     def _states(self) -> Iterator[_Looked]:
         plan, seat = self._seat.plan, self._seat
@@ -233,6 +237,12 @@ class SeatTopics:
         status = JOYSTICK_STATE_TOPIC.unpack(lease.octets())
         self._seat.handle_status(status, self._now_ns())
 
+    def _policy(self, lease: Lease) -> None:
+        # What cannot be read is as if it was not said: its program falls silent.
+        with suppress(ProtocolError):
+            message = POLICY_TOPIC.unpack(lease.octets())
+            self._seat.handle_policy(message, self._now_ns())
+
     def _shown(self, kind: str, shown: Shown, now_ns: int) -> None:
         self._seat.handle_shown(kind, shown, now_ns)
 
@@ -251,10 +261,11 @@ class SeatDeeds:
         self._seat, self._context, self._serving, self._settle = seat, context, serving, settle
         self._now_ns = context.clock.now_ns
         self._orders = KeptOrders(context.session)
-        self._hand = self._commands = None
+        self._hand = self._commands = self._drivers = None
         if seat.plan.segment is Segment.SPACE:
             self._hand = TopicWriter(bus, HAND_INPUT_TOPIC)
             self._commands = TopicWriter(bus, HAND_REQUEST_TOPIC)
+            self._drivers = TopicWriter(bus, DRIVER_TOPIC)
         self._own = {
             each.index: bus.writer(
                 each.topic,
@@ -269,6 +280,9 @@ class SeatDeeds:
                 case PageInput():
                     if self._hand is not None:
                         self._hand.publish(event, event.received_ns)
+                case DriverState():
+                    if self._drivers is not None:
+                        self._drivers.publish_read(event, self._now_ns())
                 case HandRequest():
                     if self._commands is not None:
                         self._commands.publish(event, self._now_ns())

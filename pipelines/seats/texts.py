@@ -42,10 +42,11 @@ class StreamText(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class CameraText(msgspec.Struct, frozen=True, kw_only=True):
-    """A camera that can be selected."""
+    """A camera that can be selected. layout: of one that is composed of two; else ""."""
 
     name: str
     inputs: tuple[str, ...]
+    layout: str = ""
 
 
 class PreviewText(msgspec.Struct, frozen=True, kw_only=True):
@@ -227,7 +228,7 @@ class SituationText(msgspec.Struct, frozen=True, kw_only=True):
 class HandText(msgspec.Struct, frozen=True, kw_only=True):
     """Who holds the handle, and who asks for it, by numbers of pages.
 
-    who, asks: their names; "" for nobody, and at the other end.
+    who, asks: their names; "" for nobody, and at the other end. policy: one that may drive.
     """
 
     holder: int | None
@@ -235,6 +236,7 @@ class HandText(msgspec.Struct, frozen=True, kw_only=True):
     wanted_by: int | None
     who: str
     asks: str
+    policy: str
 
 
 class StateText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="state"):
@@ -475,9 +477,9 @@ class JoystickRequest(_Request, frozen=True, tag="joystick"):
 
 
 class HandleRequest(_Request, frozen=True, tag="hand"):
-    """Who holds the handle."""
+    """Who holds the handle. policy: let the policy drive."""
 
-    action: Literal["take", "give", "ask", "refuse"]
+    action: Literal["take", "give", "ask", "refuse", "policy"]
 
 
 class StopRequest(_Request, frozen=True, tag="stop"):

@@ -45,6 +45,7 @@ VIEWER_WORDS = "a viewer may watch only"
 
 _JOYSTICK = (
     *("calibrate", "start", "start_russian", "stop", "halt", "resume", "acknowledge", "test"),
+    *("policy", "person"),
 )
 #: Who may do what. Telecommands are named APPLICATION.FUNCTION, those of reports `housekeeping`.
 _MAY: Mapping[str, tuple[Role, ...]] = {

@@ -46,6 +46,7 @@ from telepresence.upkeep.app_loader import (
     WriteUpdate,
     check_update,
     copy_to_backup,
+    mode_words,
     note_worked,
     read_mode,
     store_mode,
@@ -409,8 +410,7 @@ class LoaderKeeper:
 
 def list_lines(store: DiskStore) -> list[str]:
     """A line for each copy, and the desired mode."""
-    mode = read_mode(store)
-    lines = [f"desired mode  {'unreadable' if mode is None else mode.value}"]
+    lines = [f"desired mode  {mode_words(store)}"]
     for copy in Copy:
         if store.files(copy.value):
             fault = fault_of(store, copy.value)

@@ -56,6 +56,12 @@ class VersionKeeper:
     def read(self) -> StackRecord:
         return self.versions.read()
 
+    @property
+    def runs(self) -> bool:
+        """Whether a keeper runs a version now."""
+        with kept(self.path) as free:
+            return not free
+
     def add(self, name: str, folder: Path) -> None:
         """Take over a signed version. The elementary one comes first, and stays for ever."""
         files = read_folder(DiskStore(folder), "")

@@ -32,12 +32,12 @@ MORE = {"z": (0.09, 12.0, 0.2), "roll": (1.2, 0.8, 1.5), "gripper": (0.02, 12.0,
 #: The gripper's joint, and its axis, from shut to open. The model's pads hold the block at `GRASP`.
 GRIPPER_RAD, GRIPPER_M, GRASP_RAD = (-0.1745, 1.7453), (-0.02, 0.02), 0.46
 PADS = ("fixed_jaw_pad", "moving_jaw_pad")
-#: By so much a motor stays behind its order: its damping over its stiffness.
-LEAD_S = 0.034
+#: A joint's largest speed. By so much it stays behind its order: its damping over its stiffness.
+MOST_RAD_S, LEAD_S = 1.5, 0.034
 #: In cycles of 1 ms: of inverse kinematics, and of a step of the model.
 IK_CYCLES, STEP_CYCLES = 6, 2
-#: An arm that is off and faster than this yields; then it stays where it is.
-REST_RAD_S = 0.05
+#: A model that is off and faster than this yields; then it stays where it is.
+REST_RAD_S = 0.01
 #: A real arm is asked so often, and ordered beyond its goal what it sags: up to so much (rad).
 REAL_HZ, SAG, MOST_SAG_RAD = 50, 0.05, 0.2
 
@@ -173,13 +173,13 @@ class So101:
         self._cycle += 1
         if self._cycle % IK_CYCLES == 0 and self._active:
             self._solve()
-        elif self._cycle % IK_CYCLES == 0 and abs(self._data.qvel[ARM]).max() > REST_RAD_S:
-            self.deactivate()
         elif self._port:
             self._data.qpos[ARM], self._data.qvel[ARM] = self._seen[:6], self._seen[6:]
             self._mujoco.mj_forward(self._model, self._data)
-        if not self._port and self._cycle % STEP_CYCLES:
+        elif self._cycle % STEP_CYCLES:
             self._mujoco.mj_step(self._model, self._data)
+        elif not self._active and abs(self._data.qvel[ARM]).max() > REST_RAD_S:
+            self.deactivate()
         self._look()
 
     def read(self) -> RobotReading:
@@ -213,6 +213,7 @@ class So101:
         self._task.set_target(mink.SE3.from_rotation_and_translation(turn, place_m))
         dt_s = IK_CYCLES / 1000
         speeds = mink.solve_ik(self._ik, [self._task], dt_s, "daqp", damping=1e-6)
+        speeds = speeds.clip(-MOST_RAD_S, MOST_RAD_S)
         self._ik.integrate_inplace(speeds, dt_s)
         arm = self._ik.q[:5] + LEAD_S * speeds[:5]
         self._data.ctrl[:] = *arm, np.interp(opening, GRIPPER_M, GRIPPER_RAD)

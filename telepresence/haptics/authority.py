@@ -183,9 +183,8 @@ class PartnerBoard:
     def handle_joystick(self, data: bytes, now_ns: int) -> bool:
         """A datagram of the joystick in space came; return whether it is for our robot."""
         ownership = self.ownership
-        # More axes stand behind these octets.
-        head = data[:SAMPLE_OCTETS]
-        if is_greeting(head):
+        # Behind these octets are zeros, one axis after the other.
+        if is_greeting(head := data[:SAMPLE_OCTETS]):
             try:
                 partner = read_greeting(head, feedback=False).partner
             except ProtocolError:
@@ -207,8 +206,9 @@ class PartnerBoard:
             return
         self._heard_ns = now_ns
         if self.ownership.authority is Authority.PARTNER:
-            self._to_joystick, head = data, data[:SAMPLE_OCTETS]
-            if not is_greeting(head):
+            self._to_joystick = data
+            # What is behind these octets is of the axes behind x and y.
+            if not is_greeting(head := data[:SAMPLE_OCTETS]):
                 self._felt = head
 
     def is_there(self, now_ns: int) -> bool:

@@ -31,7 +31,7 @@ _KEYS: Final = ("from", "data", "to", "period_s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Route:
+class TelemetryRoute:
     """source: an application. data: names of its parameters. to: `TO_GROUND`, or a component."""
 
     source: str
@@ -40,11 +40,11 @@ class Route:
     period_s: float = 10.0
 
 
-def read_routes(octets: bytes) -> tuple[Route, ...]:
+def read_routes(octets: bytes) -> tuple[TelemetryRoute, ...]:
     """Return the routes of an XML file; ConfigError, with the line and the fix."""
     if len(octets) > MAX_FILE_OCTETS:
         raise ConfigError(f"{len(octets)} octets: a file of routes has at most {MAX_FILE_OCTETS}")
-    found: list[Route] = []
+    found: list[TelemetryRoute] = []
     parser = expat.ParserCreate()
     depth = 0
 
@@ -78,7 +78,7 @@ def read_routes(octets: bytes) -> tuple[Route, ...]:
     return tuple(found)
 
 
-def _route(attributes: dict[str, str], mistake: Callable[[str], ConfigError]) -> Route:
+def _route(attributes: dict[str, str], mistake: Callable[[str], ConfigError]) -> TelemetryRoute:
     for key in attributes:
         if key not in _KEYS:
             (near,) = get_close_matches(key, _KEYS, n=1, cutoff=0.0)
@@ -87,7 +87,7 @@ def _route(attributes: dict[str, str], mistake: Callable[[str], ConfigError]) ->
         if not attributes.get(key, "").strip():
             raise mistake(f'<{_ROUTE}> needs {key}="..."')
     data, to = tuple(dict.fromkeys(attributes["data"].split())), attributes["to"].strip()
-    route = Route(source=attributes["from"].strip(), data=data, to=to)
+    route = TelemetryRoute(source=attributes["from"].strip(), data=data, to=to)
     period = attributes.get("period_s")
     if period is None:
         return route
@@ -101,7 +101,7 @@ def _route(attributes: dict[str, str], mistake: Callable[[str], ConfigError]) ->
 
 
 def with_routes(
-    dictionary: Dictionary, routes: Sequence[Route], components: Iterable[str]
+    dictionary: Dictionary, routes: Sequence[TelemetryRoute], components: Iterable[str]
 ) -> Dictionary:
     """Return the dictionary with the reports that routes need. components: their names.
 
@@ -134,7 +134,9 @@ def with_routes(
     return found
 
 
-def _with_reports(table: Application, routes: Sequence[Route], components: set[str]) -> Application:
+def _with_reports(
+    table: Application, routes: Sequence[TelemetryRoute], components: set[str]
+) -> Application:
     own = [route for route in routes if route.source == table.name]
     # What an application in space sends to a component crosses the link.
     told = [route for route in own if route.to == TO_GROUND or table.end == "space"]

@@ -351,6 +351,20 @@ def read_mode(store: FileStore) -> Mode | None:
         return None
 
 
+def mode_words(store: FileStore) -> str:
+    """The desired mode in words. Before the first start there is none: it begins with prime."""
+    mode = read_mode(store)
+    if mode is not None:
+        return mode.value
+    try:
+        store.read(_EEPROM)
+    except FileNotFoundError:
+        return f"{Mode.PRIME.value}: it has not started yet"
+    except OSError:
+        pass
+    return f"unreadable: {Mode.PRIME.value} is taken"
+
+
 def store_mode(store: FileStore, mode: Mode) -> None:
     if read_mode(store) is not mode:
         replace_file(store, _EEPROM, f"{mode.value}\n".encode())

@@ -79,7 +79,10 @@ _LONG = """
     test_simulate_files test_sweep_command
     """
 #: What needs packages that only the extra `full` has.
-_PACKAGES = "sim/test_cluster sim/test_mujoco_robot unit/pipelines/recording/export/test_lerobot"
+_PACKAGES = """
+    sim/test_cluster sim/test_mujoco_robot sim/test_so101_robot
+    unit/pipelines/recording/export/test_lerobot
+    """
 
 TABLE = (
     *_rows(Lane.ANY, True, "", "unit/ vectors/ fuzz/ sim/ web/ project/ samples/"),

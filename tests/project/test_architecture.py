@@ -57,7 +57,7 @@ SHELLS = {
     "pipelines/media": (
         "coded_topics input_devices key_picture_maker process_receive process_send sending"
     ),
-    "pipelines/mission": "joined_session process_tasks process_tmtc tmtc_socket",
+    "pipelines/mission": "driving joined_session process_tasks process_tmtc tmtc_socket",
     "pipelines/partner": "coded_sources peer samples server transport whip",
     "pipelines/recording": (
         "camera_reader live_output matroska part_files raw_pictures received_media recorded_parts "

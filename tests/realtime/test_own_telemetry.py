@@ -36,7 +36,10 @@ def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_pa
     assert battery != full
     (tmp_path / SAMPLE.name).write_text(battery)
     path = tmp_path / "run.mcap"
-    session = start("taskboard", "--telemetry", "own_telemetry:Battery", "--record", str(path))
+    routes = tmp_path / "routes.xml"
+    routes.write_text('<Routes><Route from="battery" data="voltage" to="ground"/></Routes>')
+    component = ("--telemetry", "own_telemetry:Battery", "--routes", str(routes))
+    session = start("taskboard", *component, "--record", str(path))
 
     def voltage():
         return (
@@ -44,6 +47,7 @@ def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_pa
         )
 
     eventually(voltage, "a value")
+    assert "voltage 1" in session.ask("tc", "battery", "report", "route_1").stdout
     called = session.ask("tc", "battery", "recharge", "13")
     assert called.returncode == 0
     stages = [line.split()[1] for line in called.stdout.splitlines()]

@@ -66,7 +66,10 @@ def parts_of(path):
 
 def test_the_file_has_what_the_report_says(start, tmp_path):
     path = tmp_path / "run.mcap"
-    session = start("spacejustin", "--record", str(path), "--link-frames", "--part-mb", "1")
+    cameras = ("--record-cameras", "all")
+    session = start(
+        "spacejustin", "--record", str(path), "--link-frames", "--part-mb", "1", *cameras
+    )
     session.wait_for_flow()
     assert session.select("head").returncode == 0
     busy = record(session, tmp_path / "other.mcap")

@@ -6,6 +6,7 @@ import pytest
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
+from pipelines.cli import main
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
 from telepresence.haptics.pacing import SamplePace
@@ -31,6 +32,11 @@ def test_seven_axes_and_85_kbps_of_picture_go_through_128_kbps():
         assert way.receiver.received == pytest.approx(8 * rate_hz, rel=0.05)
         assert way.receiver.lost == 0 and way.latency_ms.p99 <= slot_ms
     assert up.axes is None and report.sync.senses["force"] is None
+
+
+def test_an_option_asks_for_it_too():
+    words = ["simulate", "--setup", "taskboard", "--seconds", "1", "--no-media", "-q"]
+    assert main([*words, "--force", "none"]) == 0
 
 
 def test_it_needs_a_rate_and_a_hand_that_feels_nothing():

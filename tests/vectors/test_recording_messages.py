@@ -19,6 +19,7 @@ from pipelines.recording.recorded_messages import (
     LogLevel,
     LogLine,
     QueueState,
+    RecordedDriver,
     RecordedEvent,
     RecordedExperiment,
     RecordedFigure,
@@ -107,6 +108,11 @@ VECTORS = [
         # 2: "spot" | 3: 5 | 4: 0.5, 5: -2.0 in 8 octets each
         "0801 | 1204 73706f74 | 1805 | 21 000000000000e03f | 29 00000000000000c0",
         RecordedLeds(session_ns=1, pattern="spot", leds=5, spot_x_m=0.5, spot_y_m=-2.0),
+    ),
+    (
+        # 2: "p" | 3: "p" | 4: true | 5: "x" | 6: 0.5
+        "0801 | 120170 | 1a0170 | 2001 | 2a0178 | 3208 000000000000e03f",
+        RecordedDriver(session_ns=1, who="p", policy="p", drives=True, axes=("x",), wanted=(0.5,)),
     ),
     (
         # 1: two numbers of 8 octets | 2: one octet | 2: none

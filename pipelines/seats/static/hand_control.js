@@ -1,9 +1,9 @@
 /**
  * The hand in the page: what presses and moves the handle, and when it must let go.
  *
- * Pointer, keys and game controller press, move and release; one of them at a time. The page lets
- * go when it loses the focus, is hidden or left, when the server is lost, and when the handle is
- * another's.
+ * Pointer, keys, game controller and headset press, move and release; one of them at a time. The
+ * page lets go when it loses the focus, is hidden or left, when the server is lost, and when the
+ * handle is another's.
  *
  * @import { Hand } from "./wire.js"
  */
@@ -28,7 +28,7 @@ const CLOCK_ERROR_US = 20_000;
  * @property {() => number | null} nowUs
  */
 
-/** @typedef {"pointer" | "keys" | "controller" | "axis"} Source */
+/** @typedef {"pointer" | "keys" | "controller" | "headset" | "axis"} Source */
 
 /** Its events: `change` when what presses changes, `target` when the target moves or vanishes. */
 export class HandControl extends EventTarget {

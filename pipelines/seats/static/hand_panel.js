@@ -22,12 +22,12 @@ import { WorkspaceMap } from "./workspace_map.js";
 
 const WORKSPACE = Object.freeze({ half_width_m: 0.1, half_height_m: 0.08 });
 
-/** @typedef {"take" | "give" | "ask" | "refuse"} HandAction */
+/** @typedef {"take" | "give" | "ask" | "refuse" | "policy"} HandAction */
 
 /** @type {Record<HandAction, string>} */
-const ACTIONS = { take: "Take the handle", give: "Give it up", ask: "Ask for it", refuse: "Keep it" };
+const ACTIONS = { take: "Take the handle", give: "Give it up", ask: "Ask for it", refuse: "Keep it", policy: "Let the policy drive" };
 
-class HandPanel extends HTMLElement {
+export class HandPanel extends HTMLElement {
   #map = new WorkspaceMap();
   #bar = new ForceBar();
   #words = make("p", { class: "hand-words", role: "status" });
@@ -38,6 +38,7 @@ class HandPanel extends HTMLElement {
     give: make("button", { type: "button" }, ACTIONS.give),
     ask: make("button", { type: "button" }, ACTIONS.ask),
     refuse: make("button", { type: "button" }, ACTIONS.refuse),
+    policy: make("button", { type: "button" }, ACTIONS.policy),
   };
   /** @type {HandControl | null} */
   #control = null;
@@ -78,6 +79,7 @@ class HandPanel extends HTMLElement {
     keyboard.add(
       { keys: ["Escape"], shown: "Esc", what: "let go of the handle", down: () => control.releaseAll() },
       { keys: ["h"], what: "take the handle, ask for it, or give it up", down: () => this.#actByKey() },
+      { keys: ["o"], what: "hand over to a policy", down: () => this.#handOver() },
     );
     control.addEventListener("change", () => this.#show());
     connection.on("state", () => this.#show());
@@ -98,6 +100,12 @@ class HandPanel extends HTMLElement {
       this.#start = start;
       redraw();
     });
+  }
+
+  /** What presses and moves the handle, once the page has started. */
+  get control() {
+    if (this.#control === null) throw new Error("hand-panel: it follows no seat");
+    return this.#control;
   }
 
   get #workspace() {
@@ -166,17 +174,22 @@ class HandPanel extends HTMLElement {
     else void this.#act(hand.holder === null ? "take" : "ask");
   }
 
+  #handOver() {
+    if (!this.#buttons.policy.hidden) void this.#act("policy");
+  }
+
   #show() {
     const connection = this.#seat?.connection;
     const control = this.#control;
     if (connection === undefined || control === null) return;
     const { alive, hello, state, mayAct } = connection;
     const usable = alive && state !== null && hello?.joystick === "page" && mayAct;
-    const hand = state?.hand ?? { holder: null, you: false, wanted_by: null, who: "", asks: "" };
+    const hand = state?.hand ?? { holder: null, you: false, wanted_by: null, who: "", asks: "", policy: "" };
     this.#buttons.take.hidden = !usable || hand.holder !== null;
     this.#buttons.ask.hidden = !usable || hand.you || hand.holder === null;
     this.#buttons.give.hidden = !usable || !hand.you;
     this.#buttons.refuse.hidden = !usable || !hand.you || hand.wanted_by === null;
+    this.#buttons.policy.hidden = !usable || hand.policy === "" || !(hand.you || hand.holder === null);
     const wanted = hand.you && hand.wanted_by !== null;
     setText(this.#buttons.give, wanted ? `Give it to ${hand.asks}` : ACTIONS.give);
     this.#buttons.give.classList.toggle("main", wanted);

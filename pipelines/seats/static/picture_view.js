@@ -41,13 +41,15 @@ export class PictureView extends HTMLElement {
 
   /** Pictures drawn. */
   drawn = 0;
+  /** Whether a person sees it by other means than the page's own frames. Those call `handlePainted`. */
+  seenElsewhere = false;
 
   connectedCallback() {
     const canvas = this.canvas;
     this.#context = canvas.getContext("2d", { alpha: false });
     this.append(this.#mark, this.#damage);
-    this.#tick();
-    setInterval(() => this.#tick(), TICK_MS);
+    this.tick();
+    setInterval(() => this.tick(), TICK_MS);
   }
 
   /** @returns {HTMLCanvasElement} */
@@ -60,6 +62,16 @@ export class PictureView extends HTMLElement {
   /** Whether what it shows must not be taken for the present. */
   get stale() {
     return this.canvas.dataset.stale !== "false";
+  }
+
+  /** Whether it was damaged on its way. */
+  get damaged() {
+    return !this.#damage.hidden;
+  }
+
+  /** The words of its mark, which count while it is stale. */
+  get staleWords() {
+    return `${this.#words.textContent}: ${this.#reason.textContent}`;
   }
 
   /** Whether the session has no such picture, so that none is missed. */
@@ -77,10 +89,10 @@ export class PictureView extends HTMLElement {
       this.#absent = stream === undefined;
       if (this.#steers) connection.paintedUs = this.#absent ? -1 : 0;
       this.#staleAfterMs = stream?.stale_after_ms ?? STALE_AFTER_MS;
-      this.#tick();
+      this.tick();
     });
-    connection.on("heard", () => this.#tick());
-    connection.on("lost", () => this.#tick());
+    connection.on("heard", () => this.tick());
+    connection.on("lost", () => this.tick());
   }
 
   /** The age of what is shown, in ms; null if there is nothing, or if its clock is not known. */
@@ -117,14 +129,14 @@ export class PictureView extends HTMLElement {
     this.#captureUs = captureUs;
     this.#drawnMs = pageMs();
     // A hidden or frozen page paints nothing, although it still draws.
-    if (this.#steers) requestAnimationFrame(() => this.#handlePainted(captureUs));
+    if (this.#steers && !this.seenElsewhere) requestAnimationFrame(() => this.handlePainted(captureUs));
     if (this.#damage.hidden === damaged) this.#damage.hidden = !damaged;
-    if (this.stale) this.#tick();
+    if (this.stale) this.tick();
   }
 
-  /** @param {number | null} captureUs */
-  #handlePainted(captureUs) {
-    if (this.#seat !== null) this.#seat.connection.paintedUs = captureUs ?? 0;
+  /** A person sees the picture of this capture. @param {number | null} [captureUs] */
+  handlePainted(captureUs = this.#captureUs) {
+    if (this.#seat !== null && this.#steers && !this.#absent && this.drawn > 0) this.#seat.connection.paintedUs = captureUs ?? 0;
   }
 
   /** Why no new picture comes, as far as is known. */
@@ -138,7 +150,7 @@ export class PictureView extends HTMLElement {
   }
 
   /** Brings age and mark up to date. */
-  #tick() {
+  tick() {
     const ageMs = this.ageMs();
     // Of an undated picture only this is known: it is older than the time since it was drawn.
     const knownMs = ageMs ?? (this.#drawnMs === null ? null : pageMs() - this.#drawnMs);

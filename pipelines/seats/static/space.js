@@ -6,6 +6,7 @@ import "./contact_panel.js";
 import "./focus_frame.js";
 import "./force_dial.js";
 import "./hand_panel.js";
+import "./headset_seat.js";
 import "./joystick_panel.js";
 import "./loudspeaker_panel.js";
 import "./microphone_panel.js";

@@ -8,18 +8,21 @@ import { announce } from "./announcer.js";
 import { robotWords } from "./conditions.js";
 import { make, setText } from "./dom.js";
 
-class StopControl extends HTMLElement {
+export class StopControl extends HTMLElement {
   #words = make("output", { class: "stop-words" });
   #stop = make("button", { type: "button", class: "emergency", "data-stop": "stop" }, "STOP", make("kbd", {}, "."));
   #release = make("button", { type: "button", "data-stop": "release", hidden: true }, "Release the stop");
   #refusal = make("span", { class: "refusal", role: "alert" });
   #stopped = false;
+  /** Orders the stop. Resolves to why it was refused, or "". @type {() => Promise<string>} */
+  stop = async () => "the page has not started";
 
   /** @param {Seat} seat */
   follow({ connection, keyboard }) {
-    this.#stop.addEventListener("click", () => void this.#ask(connection, "stop"));
+    this.stop = () => this.#ask(connection, "stop");
+    this.#stop.addEventListener("click", () => void this.stop());
     this.#release.addEventListener("click", () => void this.#ask(connection, "release"));
-    keyboard.add({ keys: ["."], what: "emergency stop of the robot", down: () => void this.#ask(connection, "stop") });
+    keyboard.add({ keys: ["."], what: "emergency stop of the robot", down: () => void this.stop() });
     this.append(this.#words, this.#refusal, this.#release, this.#stop);
     const show = () => this.#show(connection);
     for (const kind of /** @type {const} */ (["hello", "state", "robot", "lost"])) connection.on(kind, show);
@@ -42,10 +45,11 @@ class StopControl extends HTMLElement {
 
   /** @param {Connection} connection @param {"stop" | "release"} action */
   async #ask(connection, action) {
-    if (!connection.mayAct) return;
+    if (!connection.mayAct) return "a viewer may watch only";
     setText(this.#refusal, "");
     const { ok, error } = await connection.request({ do: "stop", action });
     if (!ok) setText(this.#refusal, error);
+    return ok ? "" : error;
   }
 }
 

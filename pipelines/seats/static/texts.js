@@ -19,8 +19,8 @@
  */
 
 /**
- * A camera that can be selected.
- * @typedef {{name: string, inputs: string[]}} CameraText
+ * A camera that can be selected. layout: of one that is composed of two; else "".
+ * @typedef {{name: string, inputs: string[], layout: string}} CameraText
  */
 
 /**
@@ -136,9 +136,9 @@
 
 /**
  * Who holds the handle, and who asks for it, by numbers of pages. who, asks: their names; "" for
- * nobody, and at the other end.
+ * nobody, and at the other end. policy: one that may drive.
  * @typedef {{holder: number | null, you: boolean, wanted_by: number | null, who: string, asks:
- *   string}} HandText
+ *   string, policy: string}} HandText
  */
 
 /**
@@ -363,7 +363,7 @@
 /**
  * What a page may ask for.
  * @typedef {{do: "joystick", event: "calibrate" | "start" | "halt" | "acknowledge" | "stop" | "resume"}
- *   | {do: "hand", action: "take" | "give" | "ask" | "refuse"}
+ *   | {do: "hand", action: "take" | "give" | "ask" | "refuse" | "policy"}
  *   | {do: "session", action: "start" | "stop"}
  *   | {do: "stop", action: "stop" | "release"}
  *   | {do: "record", action: "start" | "stop"}

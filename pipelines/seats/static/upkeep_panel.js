@@ -11,6 +11,8 @@ import { clockText, nameText } from "./wording.js";
 
 /** What comes within this many seconds is marked. */
 const SOON_S = 60;
+/** An update that begins later than this before a loss of signal is cut. Chosen. */
+const UPDATE_S = 120;
 
 /** @typedef {[string, Level]} Said */
 
@@ -48,7 +50,15 @@ class UpkeepPanel extends HTMLElement {
 /** @param {FigureBinding} figures @returns {Said} */
 function experimentSays(figures) {
   const runs = figures.get("upkeep.experiment");
-  return runs === null ? ["none runs: updates may go", "good"] : [`${nameText(String(runs))}: updates wait`, "warn"];
+  if (runs !== null) return [`${nameText(String(runs))}: updates wait`, "warn"];
+  const [what, leftS] = [figures.get("contact.ahead"), figures.number("contact.ahead_s")];
+  if (what === "loss of signal" && leftS !== null && leftS <= UPDATE_S) {
+    return [`none runs, but the signal is lost in ${clockText(leftS)}: no update now`, "warn"];
+  }
+  const states = ["space", "ground"].map((end) => figures.get(`gateways.${end}.supervision.state`));
+  const there = states.filter((state) => state !== null);
+  if (there.length > 0 && !there.includes("connected")) return ["none runs, and there is no contact", "warn"];
+  return ["none runs: updates may go", "good"];
 }
 
 /** @param {FigureBinding} figures @returns {Said} */

@@ -282,8 +282,8 @@ class Setup:
     marks: what stands in the robot's workspace, by name, for the maps of the pages. With any, or
         with a robot of one's own, they show these instead of the built-in task board.
     playback: where the operator in space, and the ground, hear the voice.
-    recorded_cameras: which cameras a recording has beside the streams: at 5 Hz while no stream
-        carries them, or all at their full rate (docs/recordings.md).
+    recorded_cameras: which cameras a recording has beside the streams: all at their full rate, or
+        at 5 Hz while no stream carries them; `auto` by the disk (docs/recordings.md).
     region: what of the uplink video is coded finer where no person says: the robot's tip
         (docs/architecture.md#pictures-and-voice).
     region_points: for a camera of your own, the four corners of the task board in its pictures:

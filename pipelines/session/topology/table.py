@@ -30,7 +30,7 @@ from pipelines.session.topology.streams import (
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import SIMULATED
 from telepresence.link.flows import Flow
-from telepresence.tmtc.routes import Route
+from telepresence.tmtc.routes import TelemetryRoute
 from telepresence.tmtc.telemetry_source import Component
 
 
@@ -60,7 +60,7 @@ class SessionOptions:
     files: bool = False
     bypass: bool = False
     components: tuple[Component, ...] = ()
-    routes: tuple[Route, ...] = ()
+    routes: tuple[TelemetryRoute, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,6 +82,8 @@ class JoystickOperation:
     test: the newest functional test.
     experiment: of the present or the next application. partner: whether a partner's robot is there,
     which the caller sets; None: there can be none.
+    policy, driver: of a joystick that pages move, which the caller sets: the policy that may drive,
+    and who has the handle; "" for none. handed: as `JoystickStatus` has it.
     """
 
     def __init__(
@@ -103,6 +105,8 @@ class JoystickOperation:
         self.released = 0
         self.experiment = ExperimentName.GERMAN
         self.partner: bool | None = None
+        self.policy = self.driver = ""
+        self.handed = (0, "")
         self.test = TestReport()
         self._automatic = automatic
         self._hands_off = hands_off
@@ -230,6 +234,7 @@ class JoystickOperation:
         resume: it goes on by itself.
         calibrate: from halted, it resumes first. A pause stays.
         test: where it is calibrated, so that a person stops it first. A pause stays.
+        policy, person: the pages' seat hands over, where a policy is there.
         by: who gives it, in words.
         """
         if event is JoystickEvent.START_RUSSIAN:
@@ -238,6 +243,12 @@ class JoystickOperation:
             return self._start(ExperimentName.RUSSIAN, now_ns)
         if event is JoystickEvent.START:
             return self._start(ExperimentName.GERMAN, now_ns)
+        over = event in (JoystickEvent.POLICY, JoystickEvent.PERSON)
+        if over and self.state is not JoystickState.FATAL:
+            if not self.policy or (self.driver and event is JoystickEvent.POLICY):
+                return f"{event.value}: {self.driver or 'no policy'} is at the handle"
+            self.handed = (self.handed[0] + 1, event.value)
+            return ""
         return self._command(event, now_ns, by)
 
     def choose(self, experiment: ExperimentName) -> None:

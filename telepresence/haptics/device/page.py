@@ -41,6 +41,7 @@ class PageInput(NamedTuple):
     picture_ns: when the picture was captured that the page has painted last; 0 if it has painted
     none, `NO_PICTURE` if it shows none.
     more: wanted places of the axes behind x and y, from -1 to 1 of their half ranges.
+    keeps_ns: for how long it holds the button at that place; 0: as long as a page's input.
     """
 
     dead_man: bool
@@ -51,6 +52,7 @@ class PageInput(NamedTuple):
     received_ns: int = 0
     picture_ns: int = NO_PICTURE
     more: tuple[float, ...] = ()
+    keeps_ns: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -126,7 +128,7 @@ class PageDevice(Mechanics):
         if not hand.dead_man:
             self.held = self._pressed = False
             self._silent_ns = None
-        fresh_ns = self.model.fresh_ns - max(age_ns, 0)
+        fresh_ns = (hand.keeps_ns or self.model.fresh_ns) - max(age_ns, 0)
         if not (
             fresh_ns > 0
             and -1.0 <= hand.x <= 1.0

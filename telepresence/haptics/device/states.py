@@ -54,6 +54,9 @@ class JoystickEvent(Enum):
     TEST = "test"
     #: Chooses the experiment, then is a `START`: no transition of its own.
     START_RUSSIAN = "start_russian"
+    #: Hand the handle over to a policy, and back to a person: no transitions either.
+    POLICY = "policy"
+    PERSON = "person"
 
     SELF_TEST_PASSED = "self-test passed"
     CALIBRATION_PASSED = "calibration passed"
@@ -75,6 +78,8 @@ REQUESTS = frozenset(
         JoystickEvent.ACKNOWLEDGE,
         JoystickEvent.TEST,
         JoystickEvent.START_RUSSIAN,
+        JoystickEvent.POLICY,
+        JoystickEvent.PERSON,
     }
 )
 

@@ -33,7 +33,7 @@ TOLD = "emergency stop by a telecommand: the robot is off"
 WATCH_ONLY = "a viewer may watch only"
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True)
 KEY, DELTA = b"\0\0\0\1\x67s\0\0\0\1\x68p\0\0\0\1\x65i", b"\0\0\0\1\x41d"
-FREE = {"holder": None, "you": False, "wanted_by": None, "who": "", "asks": ""}
+FREE = {"holder": None, "you": False, "wanted_by": None, "who": "", "asks": "", "policy": ""}
 HAPTICS = np.zeros(BLOCK_ROWS, ROW).tobytes()
 
 
@@ -116,7 +116,8 @@ def test_a_page_is_told_first_where_it_is_and_what_it_sees(space, ground):
     streams = [(each["index"], each["name"], each["via"]) for each in hello["streams"]]
     assert streams == [(0, "uplink_video", "coded"), (1, "uplink_voice", "sound")]
     assert [each["name"] for each in hello["inputs"]] == ["operator_camera", "operator_mic"]
-    assert hello["cameras"][0] == {"name": "stereo", "inputs": ["left", "right"]}
+    stereo = {"name": "stereo", "inputs": ["left", "right"], "layout": "merged"}
+    assert hello["cameras"][0] == stereo
     # Ground control sees what comes, what it sends, and all cameras.
     (hello,) = ground.open().texts("hello")
     assert {each["name"]: each["via"] for each in hello["streams"]} == {

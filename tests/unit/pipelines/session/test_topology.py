@@ -7,6 +7,7 @@ from pkgutil import resolve_name
 
 import pytest
 
+from pipelines.hand.hand_topics import POLICY_TOPIC
 from pipelines.recording.channels import sources_of
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -87,7 +88,10 @@ def test_every_topic_that_is_read_has_a_writer_and_the_recorder_reads_only_what_
         for setup in every_setup()
     ]
     written = {row.name for session in sessions for row in session.topics}
-    assert {name for one in sessions for row in one.processes for name in row.reads} <= written
+    assert {name for one in sessions for row in one.processes for name in row.reads} <= {
+        *written,
+        POLICY_TOPIC,  # A user's program writes it.
+    }
 
     def topics_of(**options):
         topology = topology_of(WHOLE, **options)

@@ -4,7 +4,7 @@ import pytest
 
 from kontur_av.errors import ConfigError
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
-from telepresence.tmtc.routes import Route, read_routes, with_routes
+from telepresence.tmtc.routes import TelemetryRoute, read_routes, with_routes
 
 
 @pytest.mark.parametrize(
@@ -37,4 +37,4 @@ def test_a_file_says_what_is_wrong_in_it(text, fix):
 )
 def test_routes_are_checked_against_the_dictionary(route, fix):
     with pytest.raises(ConfigError, match=fix):
-        with_routes(built_in_dictionary(), [Route(**route)], ["cooler"])
+        with_routes(built_in_dictionary(), [TelemetryRoute(**route)], ["cooler"])

@@ -332,3 +332,13 @@ def test_the_cyclic_check_of_the_flash_finds_damage_within_a_round_and_a_sound_r
     assert after_rounds(1).sound
     disk.remove(f"flash/{SFV}")
     assert not after_rounds(1).sound
+
+
+def test_a_loader_that_has_not_started_has_no_unreadable_mode():
+    disk = copies_disk(Random(0))
+    disk.content.pop("eeprom", None)
+    assert loader.mode_words(disk) == "prime: it has not started yet"
+    loader.store_mode(disk, Mode.BACKUP)
+    assert loader.mode_words(disk) == "backup"
+    disk.write("eeprom", b"?")
+    assert loader.mode_words(disk) == "unreadable: prime is taken"
