@@ -174,6 +174,7 @@ def _common(known: Known) -> Situation | None:
 
 
 _LINK_COMES = "Wait: the link comes back by itself, with the signal."
+_AGAIN = "Wait: its process is started again by itself."
 _ASK_GROUND = "Ask the ground, in the chat, to switch the robot on."
 
 
@@ -185,7 +186,7 @@ def _at_hand(known: Known) -> Situation:
             Why.JOYSTICK_SILENT,
             "nothing is heard of the joystick",
             Next.WAIT,
-            "Wait: its process is started again by itself.",
+            _AGAIN,
         )
     if known.testing:
         return _deed(
@@ -204,7 +205,7 @@ def _at_hand(known: Known) -> Situation:
             Why.ROBOT_SILENT,
             "nothing is heard of the robot",
             Next.WAIT,
-            "Wait: its process is started again by itself.",
+            _AGAIN,
         )
     if known.drive != "hand":
         if known.russian:
@@ -214,9 +215,7 @@ def _at_hand(known: Known) -> Situation:
                 Next.ASK,
                 "Wait: the partner switches it on.",
             )
-        off = known.drive == "off"
-        why = Why.OFF if off else Why.MODE
-        reason = "the robot is off" if off else "the robot moves in a mode of its own"
+        why, reason = _not_led(known)
         if known.panel is None:
             return Situation(why, reason, Next.ASK, _ASK_GROUND)
         # The task switches it on; until then the panel says what is to be done.
@@ -323,7 +322,7 @@ def _at_robot(known: Known) -> Situation:
             Why.ROBOT_SILENT,
             "nothing is heard of the robot",
             Next.WAIT,
-            "Wait: its process is started again by itself.",
+            _AGAIN,
         )
     if known.fault:
         return _deed(
@@ -359,9 +358,7 @@ _PHASES = {
 
 
 def _off_at_robot(known: Known) -> Situation:
-    off = known.drive == "off"
-    why = Why.OFF if off else Why.MODE
-    reason = "the robot is off" if off else "the robot moves in a mode of its own"
+    why, reason = _not_led(known)
     if known.panel is not None:
         if known.panel in _PHASES:
             return Situation(why, reason, Next.WAIT, _PHASES[known.panel])
@@ -374,6 +371,7 @@ def _off_at_robot(known: Known) -> Situation:
             "Select a task: it switches the robot on.",
             "select a task",
         )
+    off = why is Why.OFF
     if off and known.telepresence:
         return _deed(
             known,
@@ -387,6 +385,12 @@ def _off_at_robot(known: Known) -> Situation:
     first = "" if off else "switch the robot off, "
     then = f"{first}choose the mode telepresence, then switch it on"
     return _deed(known, "robot.set_mode", why, reason, Next.MODE, f"At Robot, {then}.", then)
+
+
+def _not_led(known: Known) -> tuple[Why, str]:
+    if known.drive == "off":
+        return Why.OFF, "the robot is off"
+    return Why.MODE, "the robot moves in a mode of its own"
 
 
 def _because(known: Known) -> str:
