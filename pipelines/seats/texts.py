@@ -188,7 +188,6 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     allowed: tuple[str, ...]
     reason: str
     dead_man: bool
-    request: str
     force_limit_n: float
     device: str
     axes: tuple[AxisText, ...] = ()
@@ -197,6 +196,7 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     experiment: str = "german experiment"
     partner: bool | None = None
     command_age_ms: int | None = None
+    request: str = ""
 
 
 class SafetyText(msgspec.Struct, frozen=True, kw_only=True):

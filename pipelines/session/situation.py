@@ -144,30 +144,14 @@ def _common(known: Known) -> Situation | None:
         reason = f"emergency stop{by}: {holds}"
         if known.seat is Segment.SPACE and not known.orders and not known.connected:
             return Situation(Why.STOPPED, reason, Next.WAIT, _LINK_COMES)
-        return _deed(
-            known,
-            "robot.release_stop",
-            Why.STOPPED,
-            reason,
-            Next.RELEASE,
-            "Press “Release the stop” when nobody is in danger.",
-            "release the stop",
-        )
+        return _deed(known, Why.STOPPED, reason, Next.RELEASE)
     if not known.runs:
         reason = "the session is stopped"
         if not known.orders:
             return Situation(
                 Why.SESSION, reason, Next.ASK, "Wait: the ground starts the session again."
             )
-        return _deed(
-            known,
-            "session",
-            Why.SESSION,
-            reason,
-            Next.START,
-            "Press “Start session”.",
-            "start the session",
-        )
+        return _deed(known, Why.SESSION, reason, Next.START)
     if not known.connected:
         return Situation(Why.LINK, "the radio link is lost", Next.WAIT, _LINK_COMES)
     return None
@@ -189,13 +173,15 @@ def _at_hand(known: Known) -> Situation:
             _AGAIN,
         )
     if known.testing:
-        return _deed(
+        return _ask_or_do(
             known,
             "hand",
-            Why.TEST,
-            "the joystick tests itself",
-            Next.TEST,
-            f"{_sentence(known.says or 'wait')} The robot does not follow meanwhile.",
+            Situation(
+                Why.TEST,
+                "the joystick tests itself",
+                Next.TEST,
+                f"{_sentence(known.says or 'wait')} The robot does not follow meanwhile.",
+            ),
             "do what the test asks for",
         )
     if state != "application":
@@ -231,15 +217,7 @@ def _at_hand(known: Known) -> Situation:
                 Why.READY, f"{robot} may follow the hand", Next.WAIT, "Keep it pressed."
             )
         cause = f"{robot} waits for a new press" + _because(known)
-        return _deed(
-            known,
-            "hand",
-            Why.PRESS,
-            cause,
-            Next.LET_GO,
-            "Let the dead-man button go, then press it.",
-            "let the button go, then press it",
-        )
+        return _deed(known, Why.PRESS, cause, Next.LET_GO)
     return _ready(known, f"{robot} may follow the hand")
 
 
@@ -279,13 +257,10 @@ def _by_joystick(known: Known, state: str) -> Situation:
             Why.JOYSTICK, reason, Next.WAIT, "Wait: the joystick goes on by itself after that."
         )
     button = _BUTTONS[known.request]
-    return _deed(
+    return _ask_or_do(
         known,
         f"joystick.{known.request}",
-        Why.JOYSTICK,
-        reason,
-        Next.JOYSTICK,
-        f"Press “{button}” at Joystick.",
+        Situation(Why.JOYSTICK, reason, Next.JOYSTICK, f"Press “{button}” at Joystick."),
         f"press “{button}” at Joystick",
     )
 
@@ -325,15 +300,7 @@ def _at_robot(known: Known) -> Situation:
             _AGAIN,
         )
     if known.fault:
-        return _deed(
-            known,
-            "robot.reset_error",
-            Why.FAULT,
-            f"the robot has a fault: {known.fault}",
-            Next.RESET,
-            "Press “Reset error” at Robot.",
-            "reset the robot",
-        )
+        return _deed(known, Why.FAULT, f"the robot has a fault: {known.fault}", Next.RESET)
     if known.drive != "hand":
         return _off_at_robot(known)
     if not known.waits and known.cause == "":
@@ -362,29 +329,14 @@ def _off_at_robot(known: Known) -> Situation:
     if known.panel is not None:
         if known.panel in _PHASES:
             return Situation(why, reason, Next.WAIT, _PHASES[known.panel])
-        return _deed(
-            known,
-            "tasks.select",
-            why,
-            reason,
-            Next.SELECT,
-            "Select a task: it switches the robot on.",
-            "select a task",
-        )
+        return _deed(known, why, reason, Next.SELECT)
     off = why is Why.OFF
     if off and known.telepresence:
-        return _deed(
-            known,
-            "robot.power_on",
-            why,
-            reason,
-            Next.POWER,
-            "Press “Power on” at Robot.",
-            "switch the robot on",
-        )
+        return _deed(known, why, reason, Next.POWER)
     first = "" if off else "switch the robot off, "
     then = f"{first}choose the mode telepresence, then switch it on"
-    return _deed(known, "robot.set_mode", why, reason, Next.MODE, f"At Robot, {then}.", then)
+    told = Situation(why, reason, Next.MODE, f"At Robot, {then}.")
+    return _ask_or_do(known, "robot.set_mode", told, then)
 
 
 def _not_led(known: Known) -> tuple[Why, str]:
@@ -397,14 +349,36 @@ def _because(known: Known) -> str:
     return f" ({known.cause})" if known.cause and known.cause != Hold.RELEASED else ""
 
 
-def _deed(
-    known: Known, deed: str, why: Why, reason: str, to_do: Next, advice: str, others: str
-) -> Situation:
+#: By what is to be done: its right, the advice, and what others are asked for.
+_DEEDS = {
+    Next.RELEASE: (
+        "robot.release_stop",
+        "Press “Release the stop” when nobody is in danger.",
+        "release the stop",
+    ),
+    Next.START: ("session", "Press “Start session”.", "start the session"),
+    Next.LET_GO: (
+        "hand",
+        "Let the dead-man button go, then press it.",
+        "let the button go, then press it",
+    ),
+    Next.RESET: ("robot.reset_error", "Press “Reset error” at Robot.", "reset the robot"),
+    Next.SELECT: ("tasks.select", "Select a task: it switches the robot on.", "select a task"),
+    Next.POWER: ("robot.power_on", "Press “Power on” at Robot.", "switch the robot on"),
+}
+
+
+def _deed(known: Known, why: Why, reason: str, to_do: Next) -> Situation:
+    deed, advice, others = _DEEDS[to_do]
+    return _ask_or_do(known, deed, Situation(why, reason, to_do, advice), others)
+
+
+def _ask_or_do(known: Known, deed: str, told: Situation, others: str) -> Situation:
     """Advise a deed, or whom of either end to ask for it."""
     if known.may(deed):
-        return Situation(why, reason, to_do, advice)
+        return told
     who = [role.words for end in Segment for role in PEOPLE[end] if not refusal(role, end, deed)]
-    return Situation(why, reason, Next.ASK, f"Ask the {' or the '.join(who)}: {others}.")
+    return told._replace(next=Next.ASK, advice=f"Ask the {' or the '.join(who)}: {others}.")
 
 
 def _sentence(words: str) -> str:

@@ -116,9 +116,9 @@
  * functional test. experiment: of the present or the next application. partner: whether a
  * partner's robot is there; null: there can be none. command_age_ms: how old the commands are that
  * the robot gets, at most, to 50 ms.
- * @typedef {{state: string, allowed: string[], reason: string, dead_man: boolean, request: string,
- *   force_limit_n: number, device: string, axes: AxisText[], test: string, test_reason: string,
- *   experiment: string, partner: boolean | null, command_age_ms: number | null}} JoystickText
+ * @typedef {{state: string, allowed: string[], reason: string, dead_man: boolean, force_limit_n:
+ *   number, device: string, axes: AxisText[], test: string, test_reason: string, experiment:
+ *   string, partner: boolean | null, command_age_ms: number | null, request: string}} JoystickText
  */
 
 /**
