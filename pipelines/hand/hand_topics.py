@@ -6,6 +6,7 @@ import msgspec
 
 from pipelines.session.topic import Topic
 from telepresence.haptics.authority import Authority, AuthorityMetrics
+from telepresence.haptics.device.handle import Drive
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.policy import Place, PolicyMessage
 from telepresence.haptics.device.states import ExperimentName, JoystickEvent
@@ -101,8 +102,10 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     temperature_c: of the hotter motor (°C); None without a thermometer.
     x_m, y_m: place of the handle from the centre. pressed: how often a button went down.
     robot_waits, robot_stopped: the robot's newest sample says that it waits for a new press, and
-    that an emergency stop holds it. command_age_ms: how old the commands are that it gets, at most;
-    None if unknown.
+    that an emergency stop holds it. drive: what drives it, as of `OperatedHandle`. blind: the
+    operator's picture is too old; frozen: only a part of it. held: the dead-man button is pressed,
+    for a test, too. request: which leads on; "": it goes on by itself. command_age_ms: how old the
+    commands are that it gets, at most; None if unknown.
     axes: those behind x and y.
     test, test_part, test_reason, test_number: the newest functional test, as
     `telepresence.haptics.device.functional_test.TestReport` has it. test_metrics: what it measured,
@@ -138,6 +141,11 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     test_metrics: dict[str, float | None] = {}
     experiment: ExperimentName = ExperimentName.GERMAN
     partner: bool | None = None
+    drive: Drive = ""
+    blind: bool = False
+    frozen: bool = False
+    held: bool = False
+    request: str = ""
     handed: tuple[int, str] = (0, "")
 
 

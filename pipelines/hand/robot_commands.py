@@ -130,6 +130,7 @@ class RobotCommands:
         hold = self._envelope.hold
         present = (
             (control.powered, control.mode, control.fault, hold, self._envelope.stopped),
+            (self._envelope.barred, self._envelope.blind),
             (self._handled, self._commanded),
         )
         if now_ns < self._due_ns and present == self._told:
@@ -179,6 +180,8 @@ class RobotCommands:
                 for one in robot.more
             ),
             partner="none" if self._board is None else self._board.state(now_ns),
+            barred=envelope.barred.value,
+            blind=envelope.blind,
             partner_seen=self._partner_seen(now_ns),
         )
 
@@ -264,10 +267,16 @@ class JoystickStatusTeller(WatchedTopic):
         reason = operation.prompt or operation.reason or operation.supervisor.reason
         test = operation.test
         (answered, refusal), (commanded, command_refusal) = self._answered, self._commanded
-        robot = (handle.robot_waits, handle.robot_stopped)
+        robot = (
+            handle.robot_waits,
+            handle.robot_stopped,
+            handle.drive,
+            handle.blind,
+            handle.frozen,
+        )
         experiment = (operation.experiment, operation.partner, operation.handed)
         hand = (operation.state, handle.dead_man, handle.pressed, reason)
-        present = (*hand, test, *experiment, answered, commanded, *robot)
+        present = (*hand, operation.held, test, *experiment, answered, commanded, *robot)
         if present == self._told and now_ns < self._anew_ns:
             return None
         self._told, self._anew_ns = present, now_ns + _ANEW_NS
@@ -291,6 +300,11 @@ class JoystickStatusTeller(WatchedTopic):
             pressed=handle.pressed,
             robot_waits=handle.robot_waits,
             robot_stopped=handle.robot_stopped,
+            drive=handle.drive,
+            blind=handle.blind,
+            frozen=handle.frozen,
+            held=operation.held,
+            request=operation.due_request,
             command_age_ms=handle.command_age_ms,
             axes=tuple(
                 AxisStatus(

@@ -125,12 +125,14 @@ def radio_text(
     hears: bool | None,
     heard: bool | None,
     unverified: int,
+    connected: bool = True,
     obstacle: str = "",
 ) -> texts.RadioText:
     """Return what to say at an end.
 
     hears: good frames of the peer arrive here. heard: the peer said so of ours in its newest
     report. None: not known. unverified: telecommands in a row that nobody acknowledged.
+    connected: the link is; then only both directions may be said to carry.
     obstacle: why an end does not begin the link; "" for none.
     """
     if obstacle:
@@ -148,6 +150,8 @@ def radio_text(
         return texts.RadioText(level="warn", words=f"The last {count} not acknowledged by {peer}.")
     if hears is None:
         return texts.RadioText(level="none", words="Nobody knows yet whether the radio carries.")
+    if not connected:
+        return texts.RadioText(level="bad", words="The link is not connected.")
     return texts.RadioText(level="good", words="Both directions carry.")
 
 
@@ -172,6 +176,7 @@ class MissionClient:
         self._telemetry = TelemetryLog(dictionary)
         self._hears: bool | None = None
         self._heard: bool | None = None
+        self._connected = True
         self._obstacle = ""
         self._makers: Mapping[str, Callable[[], msgspec.Struct]] = {
             "chat": lambda: self._chat.text,
@@ -183,6 +188,7 @@ class MissionClient:
                 hears=self._hears,
                 heard=self._heard,
                 unverified=self._commands.unverified,
+                connected=self._connected,
                 obstacle=self._obstacle,
             ),
         }
@@ -237,6 +243,12 @@ class MissionClient:
         """Whether good frames arrive at this end."""
         if hears != self._hears:
             self._hears = hears
+            self._changed.add("radio")
+
+    def handle_link(self, connected: bool) -> None:
+        """Whether the link is connected."""
+        if connected != self._connected:
+            self._connected = connected
             self._changed.add("radio")
 
     def handle_obstacle(self, why: str) -> None:

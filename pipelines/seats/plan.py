@@ -7,7 +7,7 @@ from math import ceil
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
 from pipelines.media.following import board_view
@@ -26,6 +26,7 @@ from pipelines.session.mission_messages import (
 from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
+from pipelines.session.situation import SIMULATED
 from pipelines.session.topic import AnyTopic, Topic
 from pipelines.session.topology.rows import Kind
 from pipelines.session.topology.streams import partner_camera, partner_voice
@@ -39,7 +40,7 @@ from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.device.policy import PolicyAxis, policy_axes
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.specs import PAGE
+from telepresence.haptics.specs import PAGE, is_simulated
 from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
@@ -93,6 +94,7 @@ class SeatPlan:
 
     previews: topics with the small pictures of inputs, by their numbers in messages.
     shown: what processes of the mission show here: by kind of text, the topic.
+    device: the joystick's, as `Known` has it. answers_ns: a press is answered within this time.
     orders: whether its pages may start and stop the session; in space only if it runs here whole.
     axes: of the robot, as a policy has them; none where no page moves the joystick.
     """
@@ -106,6 +108,8 @@ class SeatPlan:
     text: texts.SeatText
     dictionary: Dictionary
     orders: bool
+    device: str
+    answers_ns: int
     axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
@@ -189,6 +193,8 @@ def seat_plan(
         dictionary=dictionary,
         shown={kind: topic for kind, topic in _SHOWN[segment].items() if topic in written},
         orders=ground or len(topology.segments) > 1,
+        device=SIMULATED if is_simulated(topology.options.joystick) else topology.options.joystick,
+        answers_ns=round(setup.safety.hand_max_age_s * NS_PER_S) + setup.round_trip_ns,
         axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
         text=text,
     )

@@ -19,15 +19,20 @@ from pipelines.seats.page_metrics import HOLDER
 from pipelines.seats.plan import SeatPlan, Shown
 from pipelines.seats.policy_guest import PolicyGuest
 from pipelines.session.access import VIEWER_WORDS, Role, place_name, refusal
-from pipelines.session.mission_messages import RobotStatus
+from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus
 from pipelines.session.page_messages import Ping, pack_pong, parse_seat_message
 from pipelines.session.session_metrics import Event, Figure, SessionNews, gathered
 from pipelines.session.session_switch import Order
 from pipelines.session.setup.segments import Segment
+from pipelines.session.situation import Known, situation
 from pipelines.session.topology.topics import TRAINER
 from telepresence.haptics.device import states
+from telepresence.haptics.device.functional_test import Outcome
+from telepresence.haptics.device.handle import Drive
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.policy import PolicyMessage
+from telepresence.haptics.envelope import Hold
+from telepresence.tasks.definitions import ControlMode
 
 
 class PageRequest(NamedTuple):
@@ -54,6 +59,8 @@ SeatEvent = PageInput | DriverState | HandRequest | Order | PageRequest | StopAs
 #: Pages that are open at a time: of viewers, and of all who may act.
 MOST_VIEWERS, MOST_ACTING = 12, 12
 HEARTBEAT_NS = 100 * NS_PER_MS
+#: What has been silent for longer is not heard.
+_HEARD_NS = 2 * NS_PER_S
 #: How often it is told where a policy wants the robot.
 _DRIVER_NS = 50 * NS_PER_MS
 #: How often the telemetry of K2CP is told.
@@ -148,9 +155,13 @@ class Seat:
         self._session: SessionNews | None = None
         self._happened: deque[Event] = deque(maxlen=_MOST_EVENTS)
         self._joystick: texts.JoystickText | None = None
-        self._safety = texts.SafetyText(
-            stopped=False, answered=False, by="", waiting=False, hold=""
-        )
+        #: The newest of joystick, robot, panel and experiment, and when the first two were heard.
+        self._status: JoystickStatus | None = None
+        self._robot: RobotStatus | None = None
+        self._task: PanelShown | ExperimentShown | None = None
+        self._heard_ns = 0
+        #: Since when the dead-man button is held; None: it is not.
+        self._held_ns: int | None = None
         self._stop: tuple[bool, str] = (False, "")
         self._signal: bool | None = None
         self.camera: str | None = None
@@ -340,9 +351,14 @@ class Seat:
             state=state.words,
             allowed=_allowed(status, state),
             axes=tuple(axes),
+            dead_man=status.held,
             command_age_ms=_coarse(status.command_age_ms),
         )
-        self._hear_robot(status.robot_stopped, status.robot_waits, "")
+        self._status, self._heard_ns = status, now_ns
+        if not status.held:
+            self._held_ns = None
+        elif self._held_ns is None:
+            self._held_ns = now_ns
         self._service.handle_status(status)
         self.policy.handle_status(status, now_ns)
         self._settle(now_ns)
@@ -366,22 +382,19 @@ class Seat:
         self.mission.handle_news(news, now_ns)
         self._settle(now_ns)
 
-    def handle_shown(self, kind: str, shown: Shown) -> None:
+    def handle_shown(self, kind: str, shown: Shown, now_ns: int = 0) -> None:
         """What a process of the mission shows; pages get it with the next heartbeat."""
         self.mission.handle_shown(kind, shown)
         if isinstance(shown, RobotStatus):
-            self._hear_robot(shown.stopped, shown.waiting, shown.hold, shown.stopped_by)
+            self._robot, self._heard_ns = shown, now_ns
+        elif isinstance(shown, PanelShown | ExperimentShown):
+            self._task = shown
 
     def handle_stop(self, ordered: bool, by: str, now_ns: int) -> None:
         """Whether an emergency stop is kept on this machine, and who ordered it."""
         if (ordered, by) != self._stop:
             self._stop = (ordered, by)
             self._publish_state(now_ns)
-
-    def _hear_robot(self, stopped: bool, waiting: bool, hold: str, by: str = "") -> None:
-        self._safety = texts.SafetyText(
-            stopped=stopped, answered=stopped, by=by, waiting=waiting, hold=hold
-        )
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
         if camera != self.camera:
@@ -445,27 +458,38 @@ class Seat:
 
     def _publish_state(self, now_ns: int) -> None:
         self._due_ns = now_ns + HEARTBEAT_NS
+        self.mission.handle_link(self._connected)
         for number, page in self._pages.items():
             page.queue.put_state(self._state_text(number, now_ns))
 
+    @property
+    def _runs(self) -> bool:
+        return self._session is None or self._session.state == "running"
+
+    @property
+    def _heard(self) -> bool:
+        """Whether this end of the link hears its peer."""
+        if self._signal is not None:
+            return self._signal
+        return self._figure(f"gateways.{self.plan.segment.value}.supervision.state") == "connected"
+
+    @property
+    def _connected(self) -> bool:
+        state = self._figure(f"gateways.{self.plan.segment.value}.supervision.state")
+        return self._heard and state in (None, "connected") and self._runs
+
     def _state_text(self, number: int, now_ns: int) -> str:
         hand = self._hand.state
-        state = self._figure(f"gateways.{self.plan.segment.value}.supervision.state")
-        signal = state == "connected" if self._signal is None else self._signal
-        runs = self._session is None or self._session.state == "running"
-        connected = signal and state in (None, "connected") and runs
+        known = self._known(number, now_ns)
         return texts.pack_text(
             texts.StateText(
                 now_us=now_ns // NS_PER_US,
-                link="connected" if connected else "lost",
-                signal=signal,
+                link="connected" if known.connected else "lost",
+                signal=self._heard,
                 camera=self.camera,
                 joystick=self._joystick,
-                safety=replace(
-                    self._safety,
-                    stopped=self._safety.stopped or self._stop[0],
-                    by=self._stop[1] or self._safety.by,
-                ),
+                safety=gathered(texts.SafetyText, known, frozen=self._frozen),
+                situation=gathered(texts.SituationText, situation(known)),
                 hand=texts.HandText(
                     holder=self.holder,
                     you=hand.holder == number,
@@ -476,6 +500,81 @@ class Seat:
                 ),
                 inputs=self.inputs.owners,
             )
+        )
+
+    @property
+    def _frozen(self) -> bool:
+        """Whether a part of the operator's picture is frozen."""
+        if self.plan.segment is Segment.GROUND:
+            return self._robot is not None and self._robot.blind
+        return self._status is not None and self._status.frozen
+
+    def _known(self, number: int, now_ns: int) -> Known:
+        """What this end knows, for a page."""
+        plan, hand, stop, task = self.plan, self._hand.state, self._stop, self._task
+        fresh = now_ns - self._heard_ns < _HEARD_NS
+        known = Known(
+            seat=plan.segment,
+            role=self._pages[number].role,
+            orders=plan.orders,
+            runs=self._runs,
+            connected=self._connected,
+            device=plan.device,
+            holder=self._hand.name(hand.holder) if hand.holder not in (None, number) else "",
+        )
+        if isinstance(task, ExperimentShown):
+            known = replace(known, panel=task.phase)
+        elif task is not None:
+            known = replace(known, panel=task.mode, panel_words=task.words)
+        if plan.segment is Segment.GROUND:
+            return self._with_robot(known, fresh=fresh)
+        status = self._status
+        if status is None:
+            return replace(known, joystick=None, stopped=stop[0], by=stop[1], answered=False)
+        late = (
+            status.command_age_ms is not None
+            and status.command_age_ms > self.plan.answers_ns / NS_PER_MS
+        )
+        return replace(
+            known,
+            stopped=stop[0] or status.robot_stopped,
+            answered=status.robot_stopped,
+            by=stop[1],
+            joystick=states.JoystickState(status.state).words if fresh else None,
+            says=status.reason,
+            request=status.request,
+            testing=status.test == Outcome.RUNNING.value,
+            held=status.held,
+            taken_up=self._held_ns is None or now_ns - self._held_ns > plan.answers_ns,
+            russian=status.experiment is states.ExperimentName.RUSSIAN,
+            drive=status.drive,
+            waits=status.robot_waits,
+            barred=Hold.PICTURE
+            if status.blind or status.frozen
+            else Hold.AGE
+            if late
+            else Hold.NONE,
+        )
+
+    def _with_robot(self, known: Known, *, fresh: bool) -> Known:
+        """What the ground knows of the robot."""
+        robot, stop = self._robot, self._stop
+        if robot is None:
+            return replace(known, drive="", stopped=stop[0], by=stop[1], answered=False)
+        telepresence = robot.mode is ControlMode.TELEPRESENCE
+        drive: Drive = "off" if not robot.powered else "hand" if telepresence else "own"
+        return replace(
+            known,
+            stopped=stop[0] or robot.stopped,
+            answered=robot.stopped,
+            by=stop[1] or robot.stopped_by,
+            drive=drive if fresh else "",
+            telepresence=telepresence,
+            fault=robot.fault,
+            barred=Hold(robot.barred),
+            waits=robot.waiting,
+            cause=robot.hold,
+            partner=robot.partner == "driven",
         )
 
     def _publish_mission(self) -> None:

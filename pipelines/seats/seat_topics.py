@@ -243,8 +243,8 @@ class SeatTopics:
             message = POLICY_TOPIC.unpack(lease.octets())
             self._seat.handle_policy(message, self._now_ns())
 
-    def _shown(self, kind: str, shown: Shown, _now_ns: int) -> None:
-        self._seat.handle_shown(kind, shown)
+    def _shown(self, kind: str, shown: Shown, now_ns: int) -> None:
+        self._seat.handle_shown(kind, shown, now_ns)
 
 
 class SeatDeeds:

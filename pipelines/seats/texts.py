@@ -178,9 +178,10 @@ class AxisText(msgspec.Struct, frozen=True, kw_only=True):
 
 class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     """The joystick's state in words. allowed: requests that it would take now. axes: those behind
-    x and y. test, test_reason: what became of the newest functional test. experiment: of the
-    present or the next application. partner: whether a partner's robot is there; null: there can be
-    none. command_age_ms: how old the commands are that the robot gets, at most, to 50 ms.
+    x and y. request: which leads on; "": none does. test, test_reason: what became of the newest
+    functional test. experiment: of the present or the next application. partner: whether a
+    partner's robot is there; null: there can be none. command_age_ms: how old the commands are that
+    the robot gets, at most, to 50 ms.
     """
 
     state: str
@@ -195,21 +196,33 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     experiment: str = "german experiment"
     partner: bool | None = None
     command_age_ms: int | None = None
+    request: str = ""
 
 
 class SafetyText(msgspec.Struct, frozen=True, kw_only=True):
-    """Whether the robot may follow the hand, as this end knows it.
+    """The emergency stop, as this end knows it.
 
-    stopped: an emergency stop is ordered; answered: the robot says that it holds. by: who ordered
-    it, "" if that is not known here.
-    waiting: for a new press of the dead-man button. hold: why it holds still, where that is known.
+    stopped: it is ordered. by: who ordered it, "" if that is not known here. frozen: a part of the
+    operator's picture is.
     """
 
     stopped: bool
-    answered: bool
     by: str
-    waiting: bool
-    hold: str
+    frozen: bool = False
+
+
+class SituationText(msgspec.Struct, frozen=True, kw_only=True):
+    """Whether the hand may move the robot, as `pipelines.session.situation` has it.
+
+    why, next: names of the cause, and of what is to be done; the others are their words.
+    """
+
+    may: bool
+    level: Level
+    why: str
+    reason: str
+    next: str
+    advice: str
 
 
 class HandText(msgspec.Struct, frozen=True, kw_only=True):
@@ -235,6 +248,7 @@ class StateText(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag
     camera: str | None
     joystick: JoystickText | None
     safety: SafetyText
+    situation: SituationText
     hand: HandText
     inputs: dict[str, int | None]
 

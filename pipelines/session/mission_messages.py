@@ -48,8 +48,9 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     commanded: number of the newest `RobotCommand`; None for none. command_refusal: why that was
     refused, "" if it was carried out. step_hz: cycles of the controller, in the last second.
     hold: why it follows no hand, in words, "" if it does. waiting: for a new press. stopped: an
-    emergency stop holds. stopped_by: who orders it; a joystick's order stays after a release here.
-    offset_mm: the robot's place less the hand's. holds: its hand holds a
+    emergency stop holds. barred: why a new press would not count now; "": it would. blind: the
+    operator's picture is frozen in part. stopped_by: who orders the stop; a joystick's order stays
+    after a release here. offset_mm: the robot's place less the hand's. holds: its hand holds a
     ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
     axes: of each behind x and y its name, place and force of its surroundings: m and N, or rad and
     N m. partner: of the partner's robot, "none", "absent", "ready" or "driven". partner_seen:
@@ -82,6 +83,8 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     partner: str = "none"
     stopped_by: str = ""
     axes: tuple[tuple[str, float, float], ...] = ()
+    barred: str = ""
+    blind: bool = False
     partner_seen: tuple[float, float, float, bool, int] | None = None
 
 

@@ -322,6 +322,7 @@ class RobotSide(_Side):
             not robot.coupled,
             envelope is not None and envelope.waiting,
             envelope is not None and envelope.stopped,
+            envelope is not None and envelope.blind,
             () if self.axes is None else self.axes.values(),
         )
         self.link.handle_local(_tuple(Feedback, feedback), now_ns)

@@ -133,7 +133,7 @@ class SafetyEnvelope:
     stopped: an emergency stop of an earlier start holds; then `handle_stop` says who ordered it.
 
     hold, since_ns: why the robot holds still, and since when.
-    waiting: a new press is missing.
+    waiting: a new press is missing. barred: why a press would not count now; NONE: it would.
     offset_m: the robot's place less the hand's, taken at the newest press.
     speed_m_s: the limit of the reference's speed now.
     blind: the caller sets it while it knows that what the operator sees is too old, such as half of
@@ -160,6 +160,7 @@ class SafetyEnvelope:
         self._events: deque[AuthorityEvent] = deque(maxlen=200)
         self.blind = False
         self.hold = Hold.STARTED
+        self.barred = Hold.NO_COMMAND
         self.since_ns = now_ns
         self.offset_m = (0.0, 0.0)
         self.speed_m_s = limits.speed_m_s
@@ -203,7 +204,8 @@ class SafetyEnvelope:
             self.require_press(Hold.OFF)
         self._may_follow(command, now_ns)
         self._silent = command is None
-        self._set_hold(Hold.STOPPED if self.stopped else Hold.OFF, now_ns)
+        self.barred = Hold.STOPPED if self.stopped else Hold.OFF
+        self._set_hold(self.barred, now_ns)
 
     def handle_stop(self, now_ns: int, by: str = "") -> None:
         """Stop the robot, and latch."""
@@ -291,21 +293,25 @@ class SafetyEnvelope:
             # Also if this process was stopped itself, and the newest command came just now.
             self.require_press(Hold.LOST)
         if command is None:
+            self.barred = Hold.NO_COMMAND
             return False
         self._heard_ns = now_ns
+        self.barred = Hold.STOPPED if self.stopped else _NONE
         _, _, _, pressed, state, _, _, halted, stop, blind, _ = command
         if stop and not self._asserted:
             self.handle_stop(now_ns, JOYSTICK)
         # It is released here and there; until then its hand leads nothing.
         self._asserted = stop
         if stop:
-            self._released = False
+            self._released, self.barred = False, Hold.STOPPED
             return False
         if state != STATE_APPLICATION or halted:
             self.require_press(Hold.INACTIVE)
+            self.barred = Hold.INACTIVE
             return False
         age_ns = self.command_age_ns
         if age_ns is not None and age_ns > self._hand_max_ns:
+            self.barred = Hold.AGE
             if self._cause in (_NONE, Hold.RELEASED, Hold.AGE):
                 self.require_press(Hold.AGE)
             elif not pressed:
@@ -327,6 +333,7 @@ class SafetyEnvelope:
             self._blind_ns = now_ns
         elif now_ns - self._blind_ns >= self._picture_hold_ns:
             self.require_press(Hold.PICTURE)
+            self.barred = Hold.PICTURE
 
     def _waits_for(self, otherwise: Hold) -> Hold:
         if self.stopped:

@@ -44,8 +44,9 @@ FLAG_STOP = FLAG_CONTACT
 _ECHO = 1
 #: The age in an echo before the first answer.
 UNKNOWN_AGE_MS = (1 << 32) - 1
-#: Bit 3 of octet 3.
+#: Bit 3 of octet 3; bit 2 of a feedback.
 _BLIND = _STOPPED = 0x08
+_FROZEN = 0x04
 
 #: States of the joystick (octet 3 of a command).
 STATE_INIT = 0
@@ -115,6 +116,7 @@ class Feedback(NamedTuple):
     acted, halted: as in `Command`.
     waiting: the robot follows no hand before a new press of the dead-man button.
     stopped: an emergency stop holds the robot.
+    blind: a part of the picture that the operator sees is frozen.
     more: of each axis behind x and y: force, energy, and whether its controller acted.
     """
 
@@ -128,6 +130,7 @@ class Feedback(NamedTuple):
     halted: bool = False
     waiting: bool = False
     stopped: bool = False
+    blind: bool = False
     more: tuple[tuple[float, int, bool], ...] = ()
 
 
@@ -204,7 +207,7 @@ def pack_feedback(
     base_uj: the part of its energy that was granted before this session.
     Raises ValueError for a mode above 3 or a value that is not a number: bugs of the caller.
     """
-    fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted, waiting, stopped, _ = feedback
+    fx_n, fy_n, energy_uj, contact, mode, lit, acted, halted, waiting, stopped, blind, _ = feedback
     flags = FLAG_FEEDBACK | FLAG_HOLDING if holding else FLAG_FEEDBACK
     if contact:
         flags |= FLAG_CONTACT
@@ -226,7 +229,10 @@ def pack_feedback(
     return _pack(
         sequence % SEQUENCE_MODULUS,
         flags,
-        mode | (_STOPPED if stopped else 0) | (0 if lit is None else (lit + 1 & 15) << 4),
+        mode
+        | (_STOPPED if stopped else 0)
+        | (_FROZEN if blind else 0)
+        | (0 if lit is None else (lit + 1 & 15) << 4),
         round(a),
         round(b),
         session << _SESSION_SHIFT | granted_uj,
@@ -293,20 +299,18 @@ def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
     session = energy >> _SESSION_SHIFT
     if session == 0 or flags & FLAG_GREETING:
         raise ProtocolError("haptic sample: it belongs to no session")
-    mode = octet & 7
-    if mode > MODE_IMPEDANCE:
-        raise ProtocolError(f"haptic sample: there is no mode {mode}")
     value = (
         fx * FORCE_N,
         fy * FORCE_N,
         energy & MOST_ENERGY_UJ,
         flags & FLAG_CONTACT != 0,
-        mode,
+        octet & 3,
         (octet >> 4) - 1 if octet > 15 else None,
         flags & FLAG_ACTED != 0,
         flags & FLAG_HALTED != 0,
         flags & FLAG_WAITING != 0,
         octet & _STOPPED != 0,
+        octet & _FROZEN != 0,
         (),
     )
     return session, sequence, flags, _tuple(Feedback, value)

@@ -50,6 +50,7 @@ PAGES = {
 }
 #: What a session's owner is told where people choose a page.
 WELCOME = WelcomeText(
+    trainer=True,
     role=Role.OPERATOR,
     seat=Segment.SPACE,
     ports={"space": 65_534, "ground": 65_535},

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./modules.mjs";
 
-const { experimentWords, handTile, joystickWords, linkTile, panelShown, robotWords, whyStill } = await load("conditions.js");
+const { ageTile, experimentWords, follows, handTile, joystickWords, linkTile, panelShown, robotWords } = await load("conditions.js");
 const { Telemetry, systemSays } = await load("telemetry.js");
 const { PANEL_WORDS, PHASE_WORDS, commandText } = await load("mission_words.js");
 
@@ -90,6 +90,19 @@ class World {
     this.waiting = !this.dead_man || !this.powered || !this.link || this.joystick !== "application";
   }
 
+  /** What a server says, which hears that `far` is stopped. */
+  situation(far) {
+    const said = (why, reason, next, advice) => ({ may: why === "follows" || why === "ready", level: why === "follows" || why === "ready" ? "good" : why === "stopped" ? "bad" : "warn", why, reason, next, advice });
+    if (far.stopped) return said("stopped", "emergency stop", "release the stop", "Release it.");
+    if (!this.running) return said("session stopped", "the session is stopped", "start the session", "Start it.");
+    if (!this.link) return said("link lost", "the radio link is lost", "wait", "Wait.");
+    if (this.test === "running") return said("functional test", "the joystick tests itself", "do the test", "Hold the button.");
+    if (this.joystick !== "application") return said("joystick state", this.joystick, "joystick request", "Press Start.");
+    if (!this.powered) return said("robot off", "the robot is off", this.panel === "wait_task" ? "panel" : "power on", "Wait for a task.");
+    if (this.dead_man && !far.waiting) return said("follows", "the robot follows the hand", "steer", "");
+    return this.dead_man ? said("new press", "it waits for a new press", "let go, then press", "Let go, then press.") : said("ready", "the robot may follow the hand", "press", "Press.");
+  }
+
   values(end) {
     const lost = this.link && this.running ? "connected" : "lost";
     const error = this.fault === "" ? "none" : "force";
@@ -143,14 +156,15 @@ class Page {
     // The processes of a session that was stopped leave what they said last.
     const told = world.running;
     const joystick = { state: world.joystick, experiment: world.experiment, test: world.test, test_reason: "", reason: "", dead_man: world.dead_man };
-    const own = { stopped: world.stopped, by: "", waiting: world.waiting, hold: world.waiting ? "the dead-man button is released" : "" };
-    const before = this.state?.safety ?? { stopped: false, by: "", waiting: true, hold: "" };
+    const robot = seat === "ground" ? world : (heard ?? this.far ?? { stopped: false, waiting: true });
+    this.far = { stopped: robot.stopped, waiting: robot.waiting };
     this.state = {
       now_us: world.now_us,
       link: through ? "connected" : "lost",
       signal: through,
       joystick: seat !== "space" ? null : told ? joystick : (this.state?.joystick ?? joystick),
-      safety: seat === "ground" ? own : heard === null ? before : { ...before, stopped: heard.stopped, waiting: heard.waiting },
+      safety: { stopped: robot.stopped, by: "", frozen: false },
+      situation: world.situation(this.far),
       hand: { holder: world.holder, you: seat === "space" && world.holder === 1, wanted_by: null, who: world.holder === null ? "" : "operator", asks: "" },
     };
     if (told && seat === "ground") {
@@ -205,12 +219,12 @@ function check(page, world) {
   }
   // Tile and line above the page agree, and say "steer" only where nothing is known against it.
   if (hand.value === "YOU STEER") assert.equal(robot.level, "good");
-  assert.equal(robot.level === "good", whyStill(page) === "");
-  if (!carries && !page.state.safety.stopped) assert.match(robot.words, /gets no commands/);
+  const { situation, safety } = page.state;
+  assert.ok(robot.words.includes(situation.advice), "a page repeats what its server says");
+  if (!carries && !safety.stopped) assert.match(robot.words, /the session is stopped|link is lost/i);
   if (robot.level === "good") {
-    assert.ok(carries && !page.state.safety.stopped && !page.state.safety.waiting);
-    if (seat === "ground") assert.ok(world.follows);
-    else assert.equal(world.joystick, "application");
+    assert.ok(carries && !safety.stopped && world.joystick === "application");
+    if (seat === "ground" && follows(page)) assert.ok(world.follows);
   }
 }
 
@@ -249,6 +263,29 @@ test("a functional test says where the handle is, and what it came to", () => {
   assert.doesNotMatch(joystickWords(joystick, false), /At the handle/);
   const failed = { ...joystick, reason: "", test: "failed", test_reason: "the button was not pressed" };
   assert.match(joystickWords(failed, true), /failed: the button was not pressed/);
+});
+
+test("a functional test is no lack of motion, and a frozen part of a picture is no good age", () => {
+  const page = new Page("space");
+  const world = Object.assign(new World(), { joystick: "calibrated", test: "running", holder: 1, dead_man: true });
+  page.hear(world, () => 0.9);
+  assert.deepEqual(handTile(page), { label: "Handle: the joystick tests itself", value: "TEST", level: "none" });
+  assert.match(robotWords(page).words, /tests itself\. Hold the button/);
+  const young = { ageMs: 120, stale: false };
+  assert.equal(ageTile(page, young).level, "good");
+  page.state.safety.frozen = true;
+  assert.deepEqual(ageTile(page, young), { label: "Picture: a part is frozen", value: "120 ms", level: "bad" });
+});
+
+test("with the robot off the panel's own words stand; what must come before is said first", () => {
+  const page = new Page("space");
+  const world = Object.assign(new World(), { powered: false });
+  page.hear(world, () => 0.9);
+  const panel = { mode: "wait_task", words: "Wait for a task." };
+  assert.deepEqual(panelShown(page, panel), panel);
+  assert.doesNotMatch(robotWords(page).words, /press/i);
+  page.hear(Object.assign(world, { joystick: "recoverable error" }), () => 0.9);
+  assert.deepEqual(panelShown(page, panel), { mode: "wait_task", words: "Press Start." });
 });
 
 test("a telecommand names the task that it selects", () => {

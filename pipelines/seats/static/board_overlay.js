@@ -4,7 +4,7 @@
  *
  * @import { Seat } from "./seat.js"
  */
-import { panelShown, whyStill } from "./conditions.js";
+import { follows, panelShown } from "./conditions.js";
 import { make, setText } from "./dom.js";
 import { NewestRow } from "./newest_row.js";
 import { onNextFrame } from "./next_frame.js";
@@ -115,7 +115,7 @@ class BoardOverlay extends HTMLElement {
     if (hello !== null && panel !== null && panelShown(connection, panel).mode === "running" && panel.goal !== "") {
       drawGoal(context, panel, hello.board, at, GOAL);
     }
-    const tip = whyStill(connection) === "" ? this.#prediction.tip : null;
+    const tip = follows(connection) ? this.#prediction.tip : null;
     const drawn = long && this.#shown && tip !== null ? at(tip.xM, tip.yM) : null;
     this.dataset.tip = drawn === null ? "" : drawn.map(Math.round).join(" ");
     if (drawn !== null) drawTip(context, ...drawn);

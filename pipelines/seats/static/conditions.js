@@ -1,8 +1,8 @@
 /**
- * What pages say of link, handle and robot: all of it from the same few facts, so that no two words
- * on the pages of an end contradict each other.
+ * What pages say of link, handle and robot. The server says whether the hand may move the robot, why
+ * not, and what to do; a page adds only what the server cannot tell: that it is silent, or has ended.
  *
- * @import { ExperimentText, Figure, HelloText, JoystickText, Level, PanelText, RobotText, StateText } from "./texts.js"
+ * @import { ExperimentText, Figure, HelloText, JoystickText, Level, PanelText, RobotText, SituationText, StateText } from "./texts.js"
  */
 import { PANEL_WORDS, PHASE_WORDS } from "./mission_words.js";
 import { linkText } from "./wording.js";
@@ -24,8 +24,6 @@ import { linkText } from "./wording.js";
 
 /** @typedef {{label: string, value: string, level: Level}} Tile */
 
-const PRESS_ANEW = "let the dead-man button go, then press it";
-
 /** Why nothing passes between the seats; "" if nothing is known to prevent it. @param {Known} known */
 export function hindranceOf({ alive, ended, stopped, state }) {
   if (ended) return "this session has ended";
@@ -46,20 +44,26 @@ export function linkTile({ alive, ended, state, hello }, open) {
   return { label, value: "● CONNECTED", level: open ? "warn" : "good" };
 }
 
-/** Why the robot does not follow the handle, as far as this end knows; "" if it follows. @param {Known} known */
-export function whyStill(known) {
-  const { state, robot, hello } = known;
-  const hindrance = hindranceOf(known);
-  if (hindrance !== "" || state === null) return hindrance || "nothing is known yet";
-  const { stopped, waiting, hold } = state.safety;
-  const joystick = state.joystick?.state ?? "application";
-  const unheard = hello?.seat === "space" && state.joystick === null;
-  if (stopped) return "emergency stop";
-  if (robot?.fault) return "the robot has a fault";
-  if (robot?.powered === false) return "the robot is off";
-  if (unheard) return "nothing is heard of the joystick";
-  if (joystick !== "application") return `the joystick is in the state ${joystick}`;
-  return waiting ? hold || "the robot waits for a new press" : hold;
+/** The tile of the picture's age. @param {Known} known @param {{ageMs: number | null, stale: boolean} | null} picture Null: the session has none here. @returns {Tile} */
+export function ageTile({ alive, state }, picture) {
+  if (picture === null) return { label: "Picture", value: "NONE HERE", level: "none" };
+  const { ageMs, stale } = picture;
+  const age = ageMs === null ? "–" : `${ageMs.toFixed(0)} ms`;
+  const value = ageMs !== null && ageMs >= 10_000 ? `${(ageMs / 1000).toFixed(0)} s` : age;
+  // The age is that of the part that still moves.
+  const frozen = alive && state?.safety.frozen === true;
+  const label = stale ? "Picture: stale" : frozen ? "Picture: a part is frozen" : "Picture: age";
+  return { label, value, level: stale || frozen ? "bad" : "good" };
+}
+
+/** What the server says of hand and robot; null while nobody says. @param {Known} known @returns {SituationText | null} */
+export function situationOf({ alive, ended, state }) {
+  return alive && !ended ? (state?.situation ?? null) : null;
+}
+
+/** Whether the robot follows the hand now. @param {Known} known */
+export function follows(known) {
+  return !known.stopped && situationOf(known)?.why === "follows";
 }
 
 /** The tile that says who holds the handle. @param {Known} known @returns {Tile} */
@@ -70,37 +74,27 @@ export function handTile(known) {
   if (hello.joystick !== "page") return { label: "Handle", value: hello.joystick.toUpperCase(), level: "none" };
   if (you && state.joystick?.dead_man !== true) return { label: "Handle", value: "YOU HAVE IT", level: "good" };
   if (you) {
-    const still = whyStill(known);
-    if (still === "") return { label: "Handle", value: "YOU STEER", level: "good" };
-    return { label: `Handle: ${still}`, value: "NO MOTION", level: "warn" };
+    const { why, reason } = state.situation;
+    if (why === "functional test") return { label: `Handle: ${reason}`, value: "TEST", level: "none" };
+    if (why === "ready") return { label: "Handle", value: "PRESSED", level: "none" };
+    if (follows(known)) return { label: "Handle", value: "YOU STEER", level: "good" };
+    return { label: `Handle: ${reason}`, value: "NO MOTION", level: "warn" };
   }
   if (holder === null) return { label: "Handle", value: "NOBODY", level: "none" };
   if (hello.seat === "ground") return { label: "Handle", value: "IN SPACE", level: "none" };
   return { label: "Handle is with", value: who.toUpperCase(), level: "warn" };
 }
 
-/** Whether the robot may follow the hand, and why not. @param {Known} known @returns {{words: string, level: Level}} */
+/** @type {Record<Level, string>} */
+const SIGNS = { good: "●", warn: "○", bad: "■", none: "○" };
+
+/** Whether the robot may follow the hand, why not, and what to do. @param {Known} known @returns {{words: string, level: Level}} */
 export function robotWords(known) {
   if (known.ended) return { words: "This session has ended. Open the address that the new one prints.", level: "warn" };
-  const safety = known.alive ? (known.state?.safety ?? null) : null;
-  if (safety === null) return { words: "Nobody says whether the robot may move.", level: "none" };
-  const { stopped, answered, by, waiting, hold } = safety;
-  if (stopped) {
-    const who = by === "" ? "" : ` by ${by}`;
-    if (!answered) return { words: `■ Emergency stop${who}: the robot has not answered.`, level: "bad" };
-    return { words: `■ Emergency stop${who}: the robot is off until it is released.`, level: "bad" };
-  }
-  const hindrance = hindranceOf(known);
-  if (hindrance !== "") return { words: `○ The robot gets no commands: ${hindrance}.`, level: "warn" };
-  const still = whyStill(known);
-  const partners = known.hello?.seat === "space" && known.state?.joystick?.experiment === "russian experiment";
-  const robot = partners ? "The partner's robot" : "The robot";
-  if (waiting && (known.robot?.powered ?? true) && !known.robot?.fault) {
-    const cause = hold === "" ? "" : ` Cause: ${hold}.`;
-    return { words: `◐ ${robot} waits: ${PRESS_ANEW}.${cause}`, level: "warn" };
-  }
-  if (still === "") return { words: `● ${robot} may follow the hand.`, level: "good" };
-  return { words: `○ ${robot} holds still: ${still}.`, level: "none" };
+  const situation = situationOf(known);
+  if (situation === null) return { words: "Nobody says whether the robot may move.", level: "none" };
+  const { level, reason, advice } = situation;
+  return { words: `${SIGNS[level]} ${reason[0]?.toUpperCase()}${reason.slice(1)}. ${advice}`.trim(), level };
 }
 
 /**
@@ -119,12 +113,17 @@ export function experimentWords(known, { phase, panel }) {
   };
 }
 
-/** What the panel is to show: without the link there is no contact. @param {Known} known @param {PanelText} panel */
+/**
+ * What the panel is to show: without the link there is no contact. What must be done before it
+ * goes on is said first.
+ * @param {Known} known @param {PanelText} panel
+ */
 export function panelShown(known, { mode, words }) {
   const hindrance = hindranceOf(known);
-  return hindrance === "" || mode === "no_contact"
-    ? { mode, words }
-    : { mode: "no_contact", words: `No contact to the ground: ${hindrance}.` };
+  if (hindrance !== "" && mode !== "no_contact") return { mode: "no_contact", words: `No contact to the ground: ${hindrance}.` };
+  const situation = situationOf(known);
+  const first = situation !== null && !situation.may && situation.next !== "panel";
+  return { mode, words: first ? situation.advice : words };
 }
 
 /**

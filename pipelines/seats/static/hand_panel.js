@@ -7,7 +7,7 @@
  */
 import { announce } from "./announcer.js";
 import { AxisSliders } from "./axis_sliders.js";
-import { whyStill } from "./conditions.js";
+import { follows, situationOf } from "./conditions.js";
 import { steerByController } from "./controller_hand.js";
 import { make, setAttribute, setText } from "./dom.js";
 import { ForceBar } from "./force_bar.js";
@@ -201,18 +201,17 @@ export class HandPanel extends HTMLElement {
   /** Whether the robot follows what presses now. */
   #steering() {
     const connection = this.#seat?.connection;
-    const still = connection === undefined ? "" : whyStill(connection);
-    return still === "" ? "you steer" : `no motion: ${still}`;
+    const situation = connection === undefined ? null : situationOf(connection);
+    if (connection === undefined || situation === null) return "";
+    if (situation.why === "functional test") return situation.reason;
+    if (situation.why === "ready") return "keep it pressed";
+    return follows(connection) ? "you steer" : `no motion: ${situation.reason}`;
   }
 
   /** What to do to move the robot. */
   #advice() {
-    const { state = "application", test = "none", reason = "" } = this.#seat?.connection.state?.joystick ?? {};
-    if (test === "running") return `Functional test: ${reason}.`;
-    if (state !== "application") {
-      return `The joystick is in the state ${state}: the robot follows once it is calibrated and started.`;
-    }
-    return "Press on the map or the picture and drag; or hold Space and use the arrow keys.";
+    const connection = this.#seat?.connection;
+    return connection === undefined ? "" : (situationOf(connection)?.advice ?? "");
   }
 
   /** @param {HandControl} control @param {StateText["hand"]} hand */

@@ -30,15 +30,6 @@ const APPLICATIONS = [
   ["stop", "Stop experiment"],
 ];
 
-/** By state: what a person would do next. @type {Record<string, JoystickRequest>} */
-const NEXT = {
-  standby: "calibrate",
-  calibrated: "start",
-  halted: "resume",
-  "calibration error": "acknowledge",
-  "recoverable error": "acknowledge",
-};
-
 /** @type {Record<string, "good" | "warn" | "bad">} */
 const LEVELS = {
   application: "good",
@@ -132,7 +123,7 @@ class JoystickPanel extends HTMLElement {
       button.disabled = !connection.mayAct || joystick?.allowed.includes(event) !== true;
       // Most sessions have no partner's robot.
       button.hidden = event === "start_russian" && typeof joystick?.partner !== "boolean";
-      button.classList.toggle("main", NEXT[state] === event);
+      button.classList.toggle("main", joystick?.request === event);
     }
   }
 }

@@ -5,7 +5,7 @@
  * @import { Seat } from "./seat.js"
  * @import { Level } from "./texts.js"
  */
-import { handTile, linkTile } from "./conditions.js";
+import { ageTile, handTile, linkTile } from "./conditions.js";
 import { make, setText } from "./dom.js";
 import { PictureView } from "./picture_view.js";
 
@@ -45,19 +45,12 @@ class LinkTile extends Tile {
 
 /** `<age-tile>`: how old the picture of the page's first `picture-view` is. */
 class AgeTile extends Tile {
-  follow() {
+  /** @param {Seat} seat */
+  follow({ connection }) {
     const view = document.querySelector("picture-view");
     if (!(view instanceof PictureView)) return;
     view.addEventListener("age", () => {
-      if (view.absent) {
-        this.show({ label: "Picture", value: "NONE HERE", level: "none" });
-        return;
-      }
-      const ageMs = view.ageMs();
-      const age = ageMs === null ? "–" : `${ageMs.toFixed(0)} ms`;
-      const stale = view.stale;
-      const long = ageMs !== null && ageMs >= 10_000 ? `${(ageMs / 1000).toFixed(0)} s` : age;
-      this.show({ label: stale ? "Picture: stale" : "Picture: age", value: long, level: stale ? "bad" : "good" });
+      this.show(ageTile(connection, view.absent ? null : { ageMs: view.ageMs(), stale: view.stale }));
     });
   }
 }

@@ -112,21 +112,26 @@
 
 /**
  * The joystick's state in words. allowed: requests that it would take now. axes: those behind x
- * and y. test, test_reason: what became of the newest functional test. experiment: of the present
- * or the next application. partner: whether a partner's robot is there; null: there can be none.
- * command_age_ms: how old the commands are that the robot gets, at most, to 50 ms.
+ * and y. request: which leads on; "": none does. test, test_reason: what became of the newest
+ * functional test. experiment: of the present or the next application. partner: whether a
+ * partner's robot is there; null: there can be none. command_age_ms: how old the commands are that
+ * the robot gets, at most, to 50 ms.
  * @typedef {{state: string, allowed: string[], reason: string, dead_man: boolean, force_limit_n:
  *   number, device: string, axes: AxisText[], test: string, test_reason: string, experiment:
- *   string, partner: boolean | null, command_age_ms: number | null}} JoystickText
+ *   string, partner: boolean | null, command_age_ms: number | null, request: string}} JoystickText
  */
 
 /**
- * Whether the robot may follow the hand, as this end knows it. stopped: an emergency stop is
- * ordered; answered: the robot says that it holds. by: who ordered it, "" if that is not known
- * here. waiting: for a new press of the dead-man button. hold: why it holds still, where that is
- * known.
- * @typedef {{stopped: boolean, answered: boolean, by: string, waiting: boolean, hold: string}}
- *   SafetyText
+ * The emergency stop, as this end knows it. stopped: it is ordered. by: who ordered it, "" if that
+ * is not known here. frozen: a part of the operator's picture is.
+ * @typedef {{stopped: boolean, by: string, frozen: boolean}} SafetyText
+ */
+
+/**
+ * Whether the hand may move the robot, as `pipelines.session.situation` has it. why, next: names
+ * of the cause, and of what is to be done; the others are their words.
+ * @typedef {{may: boolean, level: Level, why: string, reason: string, next: string, advice:
+ *   string}} SituationText
  */
 
 /**
@@ -139,8 +144,8 @@
 /**
  * The heartbeat, 10 times a second, and at each change.
  * @typedef {{kind: "state", now_us: number, link: "connected" | "lost", signal: boolean, camera:
- *   string | null, joystick: JoystickText | null, safety: SafetyText, hand: HandText, inputs:
- *   Record<string, number | null>}} StateText
+ *   string | null, joystick: JoystickText | null, safety: SafetyText, situation: SituationText,
+ *   hand: HandText, inputs: Record<string, number | null>}} StateText
  */
 
 /**
@@ -268,20 +273,22 @@
  * the joystick says that it is. commanded: number of the newest `RobotCommand`; None for none.
  * command_refusal: why that was refused, "" if it was carried out. step_hz: cycles of the
  * controller, in the last second. hold: why it follows no hand, in words, "" if it does. waiting:
- * for a new press. stopped: an emergency stop holds. stopped_by: who orders it; a joystick's order
- * stays after a release here. offset_mm: the robot's place less the hand's. holds: its hand holds
- * a ball. joints: of each the angle in rad and the torque in N m, as far as the robot says them.
- * axes: of each behind x and y its name, place and force of its surroundings: m and N, or rad and
- * N m. partner: of the partner's robot, "none", "absent", "ready" or "driven". partner_seen: while
- * it is driven: the place (x, y) that the joystick wants (m), its force (N), whether it touches
- * something, and the age (ms) of its newest sample.
+ * for a new press. stopped: an emergency stop holds. barred: why a new press would not count now;
+ * "": it would. blind: the operator's picture is frozen in part. stopped_by: who orders the stop;
+ * a joystick's order stays after a release here. offset_mm: the robot's place less the hand's.
+ * holds: its hand holds a ball. joints: of each the angle in rad and the torque in N m, as far as
+ * the robot says them. axes: of each behind x and y its name, place and force of its surroundings:
+ * m and N, or rad and N m. partner: of the partner's robot, "none", "absent", "ready" or "driven".
+ * partner_seen: while it is driven: the place (x, y) that the joystick wants (m), its force (N),
+ * whether it touches something, and the age (ms) of its newest sample.
  * @typedef {{kind: "robot", boot_id: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
  *   boolean, error: string, commanded: number | null, command_refusal: string, step_hz: number,
  *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds: boolean,
  *   joints: [number, number][], partner: string, stopped_by: string, axes: [string, number,
- *   number][], partner_seen: [number, number, number, boolean, number] | null}} RobotText
+ *   number][], barred: string, blind: boolean, partner_seen: [number, number, number, boolean,
+ *   number] | null}} RobotText
  */
 
 /**

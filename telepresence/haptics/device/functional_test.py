@@ -130,19 +130,24 @@ def _with_motors(capabilities: JoystickCapabilities) -> CheckScript:
     for axis in (0, 1):
         for aside_m in (ASIDE_M, -ASIDE_M, 0.0):
             goal = (aside_m, 0.0) if axis == 0 else (0.0, aside_m)
-            cycle, there = yield from travel(cycle, *goal, force_n=_MOVE_N)
+            moved = _said(travel(cycle, *goal, force_n=_MOVE_N), f"{2 * axis + 1} of 6, place")
+            cycle, there = yield from moved
             if not there:
                 away_x, away_y = goal[0] - cycle.reading.x_m, goal[1] - cycle.reading.y_m
                 stuck = "x" if abs(away_x) > abs(away_y) else "y"
                 trouble = f"axis {stuck} does not move to where it is pushed"
                 return CheckResult(NAME, tuple(metrics), trouble)
-        cycle, found = yield from stiffness_metrics(cycle, capabilities, axis)
+        spring = stiffness_metrics(cycle, capabilities, axis)
+        cycle, found = yield from _said(spring, f"{2 * axis + 2} of 6, spring")
         if found is None:
             trouble = f"axis {'xy'[axis]} does not move to where it is pushed"
             return CheckResult(NAME, tuple(metrics), trouble)
         metrics += found
-    for check in (workspace_check, friction_check):
-        found_more = yield from check(capabilities)
+    for check, part in (
+        (workspace_check, "5 of 6, workspace"),
+        (friction_check, "6 of 6, friction"),
+    ):
+        found_more = yield from _said(check(capabilities), part)
         metrics += found_more.metrics
         if found_more.trouble:
             return CheckResult(NAME, tuple(metrics), found_more.trouble)
@@ -158,12 +163,25 @@ def _await_dead_man(cycle: Cycle, output: Output, *, wanted: bool) -> Script[tup
     return cycle, True
 
 
+def _said(script: Script[_Result], part: str) -> Script[_Result]:
+    """Run a script of the motors, and say which part it is."""
+    prompt = f"keep the button held: the motors move the handle (part {part})"
+    try:
+        output = next(script)
+        while True:
+            output = script.send((yield output._replace(prompt=prompt)))
+    except StopIteration as end:
+        result: _Result = end.value
+        return result
+
+
 def _while_held(script: Script[_Result], shown: Output) -> Script[_Result | None]:
     """Run a script with the LEDs and the prompt of `shown`; None once the button is let go."""
     try:
         output = next(script)
         while True:
-            cycle = yield shown._replace(x_n=_cut(output.x_n), y_n=_cut(output.y_n))
+            prompt = output.prompt or shown.prompt
+            cycle = yield shown._replace(x_n=_cut(output.x_n), y_n=_cut(output.y_n), prompt=prompt)
             if not cycle.reading.dead_man:
                 script.close()
                 return None

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import cast
+from typing import Literal, cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.returned import fault_of
@@ -14,7 +14,7 @@ from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.haptic_metrics import JoystickMetrics, LoggedTransition
-from telepresence.haptics.sample import Feedback
+from telepresence.haptics.sample import MODE_OFF, Feedback
 
 #: Only in these states is a reading a calibrated position.
 _PLACED = (JoystickState.CALIBRATED, JoystickState.APPLICATION, JoystickState.HALTED)
@@ -24,13 +24,18 @@ _HEARD_NS = 20 * NS_PER_MS
 _TRUSTED_NS = 500 * NS_PER_MS
 
 
+#: What drives a robot: the hand, nothing, a mode of its own; "" if nothing is heard of it.
+Drive = Literal["hand", "off", "own", ""]
+
+
 class OperatedHandle:
     """`telepresence.haptics.bilateral.Handle` on a `JoystickDevice`, by its `JoystickOperation`.
 
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
     stop, blind: the caller sets both. pressed: how often a button went down.
-    robot_waits, robot_stopped: what the robot's newest sample says.
+    robot_waits, robot_stopped, drive: what the robot's newest sample says. frozen: it says that a
+    part of the operator's picture is.
     command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
     more: the axes behind x and y; their middle is where the device reads 0. axes: their names, with
     what the setup says of them. plane: which of x and y there are; the others stay at 0.
@@ -55,6 +60,8 @@ class OperatedHandle:
         self.dead_man = self.stop = self.blind = False
         self.buttons = self.pressed = 0
         self.robot_waits = self.robot_stopped = False
+        self.drive: Drive = ""
+        self.frozen = False
         self.command_age_ms: int | None = None
         self.state = int(JoystickState.INIT)
         self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.capabilities.more]
@@ -80,12 +87,15 @@ class OperatedHandle:
             self._simulated.handle_robot(feedback is not None, feedback is not None and feedback[8])
         now_ns = self._now_ns
         if feedback is None:
-            self.robot_stopped = self.robot_stopped and now_ns < self._heard_ns + _TRUSTED_NS
+            if now_ns >= self._heard_ns + _TRUSTED_NS:
+                self.robot_stopped, self.drive, self.frozen = False, "", False
             return
         if now_ns >= self._heard_ns:
             self._heard_ns = now_ns + _HEARD_NS
             self.operation.handle_heard(now_ns)
         lit, self.robot_waits, self.robot_stopped = feedback[5], feedback[8], feedback[9]
+        self.frozen = feedback[10]
+        self.drive = "hand" if not feedback[7] else "off" if feedback[4] == MODE_OFF else "own"
         self._leds = 0 if lit is None else 1 << lit
 
     def handle_command(self, event: JoystickEvent, *by: str) -> str:

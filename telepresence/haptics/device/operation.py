@@ -58,6 +58,15 @@ _PEERS = {ExperimentName.GERMAN: "the robot", ExperimentName.RUSSIAN: "the partn
 
 _OK, _APPLICATION = Health.OK, JoystickState.APPLICATION
 
+#: By state: the request that leads on.
+_NEXT = {
+    JoystickState.STANDBY: JoystickEvent.CALIBRATE,
+    JoystickState.CALIBRATED: JoystickEvent.START,
+    JoystickState.HALTED: JoystickEvent.RESUME,
+    JoystickState.CALIBRATION_ERROR: JoystickEvent.ACKNOWLEDGE,
+    JoystickState.RECOVERABLE: JoystickEvent.ACKNOWLEDGE,
+}
+
 
 class JoystickOperation:
     """Runs one `device`.
@@ -150,6 +159,22 @@ class JoystickOperation:
         if self.state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE):
             return not self._automatic or self.paused != "" or not self._retries_left
         return self.state is JoystickState.FATAL
+
+    @property
+    def held(self) -> bool:
+        """Whether the dead-man button is pressed, for a functional test, too."""
+        return self.reading.dead_man
+
+    @property
+    def due_request(self) -> str:
+        """The request of a person that leads on to the application; "" if it goes on by itself."""
+        state, health = self.state, self.supervisor.health
+        error = state in (JoystickState.CALIBRATION_ERROR, JoystickState.RECOVERABLE)
+        by_itself = self._automatic and not self.paused and (self._retries_left or not error)
+        refused = health is not Health.OK and not (error and health is Health.HALT)
+        if by_itself or refused or self._run is not None or self._test is not None:
+            return ""
+        return _NEXT[state].value if state in _NEXT else ""
 
     @property
     def _retries_left(self) -> bool:

@@ -159,6 +159,9 @@ def test_each_dead_direction_is_said_in_words_and_at_once(service):
     assert up.level == "bad" and "Space does not hear us" in up.words
     well = radio_text(ground, hears=True, heard=None, unverified=0)
     assert (well.level, well.words) == ("good", "Both directions carry.")
+    # A red LOST has no green beside it.
+    lost = radio_text(ground, hears=True, heard=True, unverified=0, connected=False)
+    assert (lost.level, lost.words) == ("bad", "The link is not connected.")
     fault = "space: this machine does not send the frames: Network is unreachable"
     none = radio_text(ground, hears=True, heard=True, unverified=0, obstacle=fault)
     assert (none.level, none.words) == ("bad", f"No link: {fault}.")

@@ -29,6 +29,7 @@ from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 DICTIONARY = built_in_dictionary()
 SELECT_HEAD = {"application": "camera", "name": "select", "arguments": ["head"]}
+TOLD = "emergency stop by a telecommand: the robot is off"
 WATCH_ONLY = "a viewer may watch only"
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True)
 KEY, DELTA = b"\0\0\0\1\x67s\0\0\0\1\x68p\0\0\0\1\x65i", b"\0\0\0\1\x41d"
@@ -330,21 +331,45 @@ def test_a_seat_shows_what_the_robot_answered_and_releases_it_across_the_radio(s
         assert [*asked, last] == [StopAsked(True, by), StopAsked(False, by)]
         # The release is answered when the robot has answered.
         assert len(page.texts("answer")) == (1 if room is alone else 2)
-        page, now_ns = room.open(unread=False), 0
+        ground = Room(Segment.GROUND)
+        page, now_ns = ground.open(unread=False), 0
         for ordered, status, shown in (
-            (by, {}, (True, False, by)),
-            (by, {"stopped": True}, (True, True, by)),
-            ("", {"stopped": True, "stopped_by": "a telecommand"}, (True, True, "a telecommand")),
-            ("", {}, (False, False, "")),
+            (by, {}, (True, by, f"emergency stop by {by}: the robot has not answered")),
+            (by, {"stopped": True}, (True, by, f"emergency stop by {by}: the robot is off")),
+            ("", {"stopped": True, "stopped_by": "a telecommand"}, (True, "a telecommand", TOLD)),
+            ("", {}, (False, "", "the radio link is lost")),
         ):
             kept = {"boot_id": 1, "powered": True, "mode": "telepresence"}
             robot = RobotStatus(**kept, x_m=0.0, y_m=0.0, push_n=0.0, **status)
-            room.seat.handle_shown("robot", robot)
-            room.seat.handle_stop(bool(ordered), ordered, 0)
+            ground.seat.handle_shown("robot", robot)
+            ground.seat.handle_stop(bool(ordered), ordered, 0)
             now_ns += NS_PER_S
-            room.seat.handle_time(now_ns)
-            safety = page.texts("state")[-1]["safety"]
-            assert (safety["stopped"], safety["answered"], safety["by"]) == shown
+            ground.seat.handle_time(now_ns)
+            state = page.texts("state")[-1]
+            safety, reason = state["safety"], state["situation"]["reason"]
+            assert (safety["stopped"], safety["by"], reason) == shown
+
+
+def test_a_page_is_told_one_situation_of_joystick_robot_and_picture(space):
+    page, status = space.open(unread=False), {"reason": "", "dead_man": False, "force_limit_n": 6.0}
+    status |= {"device": "page", "half_width_m": 0.1, "half_height_m": 0.08, "robot_waits": True}
+    space.seat.handle_signal(True, 0)
+    hold = "press and hold the dead-man button"
+    for state, more, why, says in (
+        (3, {"drive": "off"}, "robot off", "Ask the ground"),
+        (6, {"drive": "off", "request": "acknowledge"}, "joystick state", "Press “Acknowledge”"),
+        (2, {"held": True, "test": "running", "reason": hold}, "functional test", "Press and hold"),
+        (3, {"drive": "hand", "frozen": True}, "picture too old", "Wait for a fresh picture"),
+        (3, {"drive": "hand", "held": True, "robot_waits": False}, "follows", ""),
+    ):
+        space.seat.handle_status(JoystickStatus(**status | {"state": state} | more), 0)
+        space.seat.handle_time(NS_PER_S)
+        shown = page.texts("state")[-1]
+        assert shown["situation"]["why"] == why
+        assert shown["situation"]["advice"].startswith(says)
+        # The button of a test is held, too; and half a frozen picture is known.
+        assert shown["joystick"]["dead_man"] is more.get("held", False)
+        assert shown["safety"]["frozen"] is more.get("frozen", False)
 
 
 @pytest.mark.parametrize("segment", list(Segment))
