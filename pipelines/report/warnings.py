@@ -106,7 +106,7 @@ def hand_warnings(collector: Collector) -> list[Warning]:
     if trip_ns < _LONG_TRIP_NS:
         return []
     measured = f"the hand felt forces after a round trip of {trip_ns / NS_PER_MS:.0f} ms"
-    fix = "take `--hand auto`, which renders walls: docs/haptics.md"
+    fix = "take `--hand auto`, which renders walls from the start: docs/haptics.md"
     return [Warning(what="hand_direct", where="joystick", measured=measured, fix=fix)]
 
 
