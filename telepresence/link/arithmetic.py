@@ -44,7 +44,7 @@ _INTERRUPTING = (Level.TMTC, Level.VOICE)
 RTCP_RESERVE_BPS = 8 * 45
 #: Reserve for TM/TC: the housekeeping of PUS, and the three reports about a telecommand of the
 #: other end every ten seconds. Each of these packets interrupts another.
-TMTC_RESERVE_BPS = 8 * (17 + 9)
+TMTC_RESERVE_BPS = 8 * (21 + 9)
 #: What comes down has the joystick's housekeeping once a second.
 TMTC_RESERVE_DOWN_BPS = 8 * (4 + 41)
 RESERVE_BPS = TMTC_RESERVE_BPS + RTCP_RESERVE_BPS

@@ -128,7 +128,7 @@ def test_the_file_has_what_the_report_says(start, tmp_path):
         packets = Counter(packet.stream.type for packet in film.demux() if packet.size)
     # A part may begin with a key picture that was added, of a picture that is there already.
     sent = found["/downlink_video/sent"]
-    assert sent - len(scans) < packets["video"] <= sent
+    assert sent - len(scans) <= packets["video"] <= sent
     assert packets["audio"] == found["/downlink_voice/sent"]
 
 

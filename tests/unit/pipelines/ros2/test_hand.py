@@ -37,7 +37,7 @@ def test_the_first_axis_is_to_the_left_and_buttons_are_bits():
     hand.handle_joy(joy(0.5, 0.25, held=False), A, 0)
     hand.handle_joy(joy(0.5, 0.25, more=(0.1,), buttons=(True, False, False, True)), A, 1)
     told = hand.poll_transmit(2)
-    assert told == (True, -0.5, 0.25, 0b1001, 1, 1, -1, (0.1, 0.0))
+    assert told == (True, -0.5, 0.25, 0b1001, 1, 1, -1, (0.1, 0.0), 0)
     assert hand.poll_transmit(3) is None
 
 
