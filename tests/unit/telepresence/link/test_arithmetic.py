@@ -30,7 +30,7 @@ def test_the_setups_fit():
     # 600 of reserve for TM/TC and RTCP; five supervision messages of 12 octets in two seconds.
     need = check_fit(UPLINK, [video(85), VOICE])
     assert need.needed_bps == 93_000 + (30 * 4 + 50 * 2) * 8 + 45 + 60 + 600 + 5 * 12 * 4
-    assert need.spare_bps == 96_000 - need.needed_bps == 327
+    assert need.spare_bps == 96_000 - need.needed_bps == 295
     assert channel_need(UPLINK, [video(85, packets_per_s=35), VOICE]).fits
     assert channel_need(UPLINK, [video(90, packets_per_s=35)]).fits
 
