@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, fitting
-from pipelines.mission.tmtc_socket import tmtc_socket_name
 from pipelines.session.requests import running_sessions
 from pipelines.session.sessions import launched_sessions, started_here
 from pipelines.session.setup.segments import Segment
@@ -60,6 +59,9 @@ def sending_end(
     end: of the application. sender: the end that is to send; None: the one across the radio if it
     runs here, else the application's own. Otherwise as `acting_on`.
     """
+    # `stop` and the commands of upkeep load no pictures' libraries.
+    from pipelines.mission.tmtc_socket import tmtc_socket_name
+
     origins = (end.peer, end) if sender is None else (Segment(sender),)
     running: list[str] = []
     for origin in origins:

@@ -115,7 +115,8 @@ class RunningSession:
             files="--files" in options,
             trainer="--trainer" in options,
         )
-        if "--record" in options and "--record-cameras" not in options:
+        auto = self.setup.recorded_cameras == "auto"
+        if auto and "--record" in options and "--record-cameras" not in options:
             # Cameras that nobody watches would cost a busy machine a core.
             options = (*options, "--record-cameras", "carried")
         words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]
