@@ -115,8 +115,8 @@ class RunningSession:
             files="--files" in options,
             trainer="--trainer" in options,
         )
-        auto = self.setup.recorded_cameras == "auto"
-        if auto and "--record" in options and "--record-cameras" not in options:
+        auto = self.setup.recorded_cameras == "auto" and "--record-cameras" not in options
+        if auto and {"--record", "--runs"} & {*options}:
             # Cameras that nobody watches would cost a busy machine a core.
             options = (*options, "--record-cameras", "carried")
         words = ["stream", "--setup", setup, *options, *([] if pages else ["--no-page"])]
