@@ -43,7 +43,7 @@ MODULES = ("media", "codecs", "rtp", "sources", "streams", "topics", "clock")
 PACKAGES = ("kontur_av", *(f"kontur_av.{name}" for name in MODULES), "telepresence", "pipelines")
 HEAD = """# The Python interface
 
-For whoever writes a program: which names may it use, and what are they for?
+For programmers: which names may a program use, and what do they do?
 
 <!-- Written by docs/generate.py from the docstrings: change those, not this page. -->
 

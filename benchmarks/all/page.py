@@ -10,7 +10,7 @@ from pipelines.report.result import Headline, decimals
 
 _HEAD = """# Measurements
 
-For whoever asks for figures: what was measured, with which command, on which code?
+For reviewers: which figures were measured, with which command, and on which code?
 
 `python -m benchmarks all` wrote this page from the JSON files in `{folder}`, which have all other
 figures. A figure is the median of its runs, with least and largest in brackets where they differ.

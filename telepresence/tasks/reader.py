@@ -28,6 +28,7 @@ from telepresence.tasks.definitions import (
     StartLog,
     Task,
 )
+from telepresence.xml_file import parse_xml
 
 MAX_FILE_OCTETS = 1 << 18
 MAX_STEPS = 200
@@ -56,14 +57,7 @@ def read_tasks(octets: bytes, base: Catalogue | None = None) -> Catalogue:
     parser.CharacterDataHandler = reader.handle_text
     parser.StartDoctypeDeclHandler = reader.handle_document_type
     reader.line = lambda: parser.CurrentLineNumber
-    try:
-        parser.Parse(octets, True)
-    except expat.ExpatError as error:
-        what = expat.ErrorString(error.code)
-        raise ConfigError(f"line {error.lineno}: no well-formed XML: {what}") from None
-    except (ValueError, LookupError) as error:
-        # An encoding that the parser does not know, or text that is not in the declared one.
-        raise ConfigError(f"no XML in UTF-8: {error}") from None
+    parse_xml(parser, octets)
     return reader.catalogue
 
 

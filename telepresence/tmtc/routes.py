@@ -21,6 +21,7 @@ from xml.parsers import expat
 from kontur_av.errors import ConfigError
 from telepresence.tmtc.pus.dictionary import Application, Dictionary, Structure
 from telepresence.tmtc.telemetry_source import MOST_HOUSEKEEPING_BPS, housekeeping_bps
+from telepresence.xml_file import parse_xml
 
 TO_GROUND: Final = "ground"
 MAX_FILE_OCTETS: Final = 1 << 16
@@ -68,13 +69,7 @@ def read_routes(octets: bytes) -> tuple[TelemetryRoute, ...]:
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.StartDoctypeDeclHandler = document_type
-    try:
-        parser.Parse(octets, True)
-    except expat.ExpatError as error:
-        what = expat.ErrorString(error.code)
-        raise ConfigError(f"line {error.lineno}: no well-formed XML: {what}") from None
-    except (ValueError, LookupError) as error:
-        raise ConfigError(f"no XML in UTF-8: {error}") from None
+    parse_xml(parser, octets)
     return tuple(found)
 
 

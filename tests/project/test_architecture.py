@@ -151,7 +151,10 @@ LIBRARIES = {
     "tarfile": "telepresence/upkeep/inbox.py",
     "threading": "kontur_av/codecs/colours.py",
     "warnings": "kontur_av/codecs/libopus.py kontur_av/lazy.py",
-    "xml": ("telepresence/tasks/reader.py telepresence/tmtc/pus/xtce telepresence/tmtc/routes.py"),
+    "xml": (
+        "telepresence/tasks/reader.py telepresence/tmtc/pus/xtce telepresence/tmtc/routes.py "
+        "telepresence/xml_file.py"
+    ),
     "zstandard": "kontur_av/sources/recorded_format.py pipelines/recording/",
 }
 
