@@ -8,6 +8,7 @@ import time
 from itertools import cycle
 
 import browser as browsers
+import numpy as np
 import pytest
 from browser import LIVE, drawn, eventually, luma, psnr_db, wait_for_pictures
 from common import write_tone
@@ -111,6 +112,14 @@ def filmed(page):
     pixels = page.pixels()
     number = number_of(pixels)
     return None if number is None else (number, luma(pixels))
+
+
+def likeness_db(page):
+    """Return how like a picture that `page` shows is to what was filmed; None in doubt."""
+    if (found := filmed(page)) is None:
+        return None
+    number, shown = found
+    return psnr_db(shown, numbered_picture(number)[: shown.shape[0]])
 
 
 def select(page, camera):
@@ -420,12 +429,14 @@ def test_a_camera_arrives_at_the_other_page(space, ground, browser, session):
     toggle(space, "camera-panel")
     wait_for_number(ground, 0)
 
-    # A page that joins now begins at a local IDR picture.
+    # A cut is coded coarsely at first.
+    eventually(lambda: (likeness_db(ground) or 0) > CODED_DB, "a picture as filmed")
+
+    # A page that joins now begins at a local IDR picture. A wrong one stays for a wave.
     late = browser.open(session.pages()["ground"])
-    number, shown = eventually(lambda: filmed(late), "a picture with its number")
-    likeness_db = psnr_db(shown, numbered_picture(number)[: shown.shape[0]])
-    print(f"a page that joined by a local IDR shows what was filmed with {likeness_db:.0f} dB")
-    assert likeness_db > CODED_DB
+    shown_db = [eventually(lambda: likeness_db(late), "a numbered picture") for _ in range(5)]
+    print("a page that joined by a local IDR shows what was filmed with", np.round(shown_db), "dB")
+    assert np.median(shown_db) > CODED_DB
     late.close()
     toggle(space, "camera-panel")
     eventually(lambda: number_on(ground) is None, "the built-in camera")
