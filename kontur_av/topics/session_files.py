@@ -190,7 +190,13 @@ def user_root() -> Path:
     """
     own = f"kontur-av-{os.getuid()}"
     named = (os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP"))
-    for directory in (*filter(None, named), SHARED_MEMORY, "/tmp", "/var/tmp", os.curdir):
+    for directory in (
+        *filter(None, named),
+        os.fspath(SHARED_MEMORY),
+        "/tmp",
+        "/var/tmp",
+        os.curdir,
+    ):
         chosen = Path(directory).absolute() / own
         # No file passes as a directory with "/." behind it.
         if os.access(chosen, os.X_OK) or os.access(f"{directory}/.", os.W_OK | os.X_OK):
