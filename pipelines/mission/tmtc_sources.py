@@ -135,7 +135,7 @@ class RobotSource:
         known = tuple(values.values())
         if known != self._known or now_ns >= self._known_ns:
             self._known, self._known_ns = known, now_ns + SAMPLE_NS
-            values |= _joints(status)
+            values |= _joints(status) | status.fields
             if status.partner_seen is not None:
                 x_m, y_m, force_n, contact, age_ms = status.partner_seen
                 values |= {"partner_x": x_m, "partner_y": y_m, "partner_force": force_n}

@@ -86,6 +86,16 @@ class MarkText(msgspec.Struct, frozen=True, kw_only=True):
     half_height_m: float
 
 
+class ChartText(msgspec.Struct, frozen=True, kw_only=True):
+    """A chart of haptics. column: of the rows; the others are a `haptic_trace.StripChart`."""
+
+    column: int
+    title: str
+    unit: str
+    factor: float
+    least: float
+
+
 class BoardText(msgspec.Struct, frozen=True, kw_only=True):
     """The robot's workspace, with its middle at (0, 0), and the task board in it, if there is one.
 
@@ -130,6 +140,7 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     inputs: tuple[InputText, ...]
     joystick: str
     workspace: WorkspaceText
+    charts: tuple[ChartText, ...]
     board: BoardText
     caps: dict[str, int]
     applications: tuple["ApplicationText", ...] = ()

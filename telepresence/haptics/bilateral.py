@@ -6,7 +6,7 @@ between them, form the whole control loop.
 """
 
 from collections.abc import Sequence
-from math import hypot
+from math import hypot, nan
 from typing import Any, Protocol
 
 from kontur_av.clock import NS_PER_MS
@@ -82,7 +82,12 @@ class HeldJoystick(Joystick):
 
 
 class _Side:
-    """The common part of both sides: the link, the timing of a cycle, and the report."""
+    """The common part of both sides: the link, the timing of a cycle, and the report.
+
+    unknown: of what this side does not measure.
+    """
+
+    unknown = nan
 
     link: HapticLink[Any, Any]
     controller: JoystickController | RobotController
