@@ -248,7 +248,9 @@ class Stick:
         more: Sequence[str] = (),
         mapping: StickMap | None = None,
     ) -> None:
-        self._stop_code = self._hand_over_code = None
+        self._dead_man_code: int | None = None
+        self._stop_code: int | None = None
+        self._hand_over_code: int | None = None
         if mapping is None:
             leads, kept = self._usual(axes, keys)
             # A robot's own axes get the leads that no other has.
@@ -260,15 +262,17 @@ class Stick:
             leads = {name: _Lead.of(row) for name, row in mapping.axis.items()}
             buttons = mapping.buttons
             self._dead_man_code = Control(buttons.dead_man)
-            self._stop_code = buttons.stop and Control(buttons.stop)
-            self._hand_over_code = buttons.hand_over and Control(buttons.hand_over)
-            kept = [*map(Control, buttons.panel)]
+            if buttons.stop is not None:
+                self._stop_code = Control(buttons.stop)
+            if buttons.hand_over is not None:
+                self._hand_over_code = Control(buttons.hand_over)
+            kept = [int(Control(name)) for name in buttons.panel]
         #: Of a puck: for how long each relative axis has been quiet.
         self._quiet_ns: dict[int, int] = {}
         self._bits = {code: 1 << index for index, code in enumerate(kept)}
         self._more = [_LedMore(built_in_axis(one), leads[one]) for one in more if one in leads]
         self.mapped = [f"{name}: {lead.words(keys)}" for name, lead in leads.items()]
-        deeds = {"dead-man": self._dead_man_code, "stop": self._stop_code}
+        deeds: dict[str, int | None] = {"dead-man": self._dead_man_code, "stop": self._stop_code}
         deeds |= {"hand-over": self._hand_over_code}
         deeds |= {f"button {number}": code for number, code in enumerate(kept, 1)}
         self.mapped += [
