@@ -44,6 +44,7 @@ from pipelines.session.topology.topics import (
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.device.policy import PolicyAxis, policy_axes
+from telepresence.haptics.device.stick_map import pad_controls
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import PAGE, is_simulated
@@ -189,6 +190,7 @@ def seat_plan(
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
         exercises=tuple(_exercises(topology)) if topology.options.trainer else (),
+        pad=_pad(topology) if moved else None,
     )
     return SeatPlan(
         segment=segment,
@@ -205,6 +207,16 @@ def seat_plan(
         axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
         text=text,
     )
+
+
+def _pad(topology: Topology) -> texts.PadText | None:
+    """What a game controller at a page does; None: the usual."""
+    mapping = topology.options.joystick_map
+    if mapping is None:
+        return None
+    controls = pad_controls(mapping, topology.setup.more_axes)
+    axes = tuple(gathered(texts.PadAxisText, axis) for axis in controls.axes)
+    return gathered(texts.PadText, controls, axes=axes)
 
 
 def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:

@@ -34,6 +34,7 @@ class OperatedHandle:
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
     stop, blind: the caller sets both. pressed: how often a button went down.
+    stop_asked: its button for the emergency stop was pressed; the caller resets it.
     robot_waits, robot_stopped, drive: what the robot's newest sample says. frozen: it says that a
     part of the operator's picture is.
     command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
@@ -57,7 +58,8 @@ class OperatedHandle:
         self._simulated = device if isinstance(device, SimulatedDevice) else None
         self.x_m = self.y_m = 0.0
         self.force_limit_n = 0.0
-        self.dead_man = self.stop = self.blind = False
+        self.dead_man = self.stop = self.blind = self.stop_asked = False
+        self._hands_over = False
         self.buttons = self.pressed = 0
         self.robot_waits = self.robot_stopped = False
         self.drive: Drive = ""
@@ -149,6 +151,15 @@ class OperatedHandle:
                 self.y_m *= self._plane[1]
         if reading[4] & ~self.buttons:
             self.pressed += 1
+        if reading[9]:
+            self.stop_asked = True
+        if reading[10] is not self._hands_over:
+            self._hands_over = reading[10]
+            if reading[10]:
+                person = operation.driver != ""
+                operation.handle_command(
+                    JoystickEvent.PERSON if person else JoystickEvent.POLICY, now_ns
+                )
         # The button that a test asks for does not count for the robot or the panel.
         self.buttons, self.dead_man = reading[4], reading[5] and not operation.testing
         self.force_limit_n = operation.force_limit_n
