@@ -16,9 +16,9 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.situation import SIMULATED, Known
 from pipelines.session.topology.table import Topology
 from telepresence.haptics.device.functional_test import Outcome
-from telepresence.haptics.device.handle import Drive
 from telepresence.haptics.device.states import ExperimentName, JoystickState
 from telepresence.haptics.envelope import Hold
+from telepresence.haptics.sample import Drive
 from telepresence.haptics.specs import is_simulated
 from telepresence.tasks.definitions import ControlMode
 
@@ -105,7 +105,8 @@ class EndKnowledge:
             holder=holder,
         )
         if isinstance(task, ExperimentShown):
-            known = replace(known, panel=task.phase)
+            offered = next((one.name for one in task.tasks if not one.lacks), "")
+            known = replace(known, panel=task.phase, offered=offered)
         elif task is not None:
             known = replace(known, panel=task.mode, panel_words=task.words)
         fresh = now_ns - self._heard_ns < _HEARD_NS

@@ -7,7 +7,7 @@ from math import ceil
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
 from pipelines.hand.knowledge import EndTraits
