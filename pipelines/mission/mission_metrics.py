@@ -54,8 +54,10 @@ class TmtcMetrics:
 class SituationMetrics:
     """What an end says at a terminal of its machine, as `pipelines.session.situation` has it."""
 
-    #: What keeps the hand from moving the robot; empty: nothing does.
+    #: What keeps the hand from moving the robot; `follows` and `ready`: nothing does.
     situation: str = ""
+    #: The same as a part of a sentence.
+    reason: str = ""
     #: What to do next.
     advice: str = ""
 

@@ -21,7 +21,7 @@ from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, Values
 from pipelines.session.access import PEOPLE, Role
 from pipelines.session.mission_messages import RobotCommand, RobotStatus
 from pipelines.session.setup.segments import Segment
-from pipelines.session.situation import Known, Terminal, Why, at_terminal, situation
+from pipelines.session.situation import Known, Terminal, Why, at_end, situation
 from telepresence.haptics.device.functional_test import Outcome
 from telepresence.haptics.device.states import REQUESTS, JoystickState
 from telepresence.tasks.definitions import ControlMode
@@ -272,11 +272,9 @@ class SituationSource:
         return self._knowledge.known(role, now_ns, connected=self.connected)
 
     def report(self, now_ns: int, terminal: Terminal) -> SituationMetrics:
-        """What a terminal says; nothing while the hand may move the robot."""
-        told = at_terminal([self.known(now_ns)], terminal)
-        if told is None or told.may or told.why is Why.PARTNER:
-            return SituationMetrics()
-        return SituationMetrics(situation=told.reason, advice=told.advice)
+        """What a terminal on this end's machine says."""
+        told = at_end(self.known(now_ns), terminal)
+        return SituationMetrics(situation=told.why, reason=told.reason, advice=told.advice)
 
     def handle_time(self, now_ns: int) -> None:
         """Twice a second the parameters; an event when another reason lasts."""

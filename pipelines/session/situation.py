@@ -137,6 +137,11 @@ class Situation(NamedTuple):
     advice: str
 
     @property
+    def words(self) -> str:
+        """Reason and advice, for a terminal."""
+        return f"{self.reason}. {self.advice}".rstrip()
+
+    @property
     def may(self) -> bool:
         """Whether the hand may move the robot: it does, or a press of the button begins it."""
         return self.why in (Why.FOLLOWS, Why.READY)
@@ -152,19 +157,29 @@ def situation(known: Known) -> Situation:
     return _common(known) or (_at_robot(known) if known.seat is Segment.GROUND else _at_hand(known))
 
 
-#: What the robot's end knows better.
-_ROBOTS = (Why.STOPPED, Why.SESSION, Why.LINK, Why.ROBOT_SILENT, Why.FAULT, Why.OFF, Why.MODE)
+def at_end(known: Known, terminal: Terminal) -> Situation:
+    """Return what holds for a terminal, from one end."""
+    return situation(msgspec.structs.replace(known, terminal=terminal))
+
+
+#: What the robot's end knows first.
+_ROBOTS = (Why.STOPPED, Why.ROBOT_SILENT, Why.FAULT, Why.OFF, Why.MODE)
 
 
 def at_terminal(ends: Iterable[Known], terminal: Terminal) -> Situation | None:
     """Return what holds for a terminal, from the ends that run on its machine; None: none does."""
-    told = {end.seat: situation(msgspec.structs.replace(end, terminal=terminal)) for end in ends}
-    space, ground = told.get(Segment.SPACE), told.get(Segment.GROUND)
-    if space is None or ground is None or ground.why in _ROBOTS:
-        return ground or space
-    # Both run here: the joystick is known at first hand.
-    blocked = space.may and not ground.may and ground.why is not Why.PARTNER
-    return ground if blocked else space
+    told = {end.seat: at_end(end, terminal) for end in ends}
+    return of_both(told.get(Segment.SPACE), told.get(Segment.GROUND))
+
+
+def of_both(space: Situation | None, ground: Situation | None) -> Situation | None:
+    """Return what holds of what both ends say; None: that end does not run here."""
+    if space is None or ground is None:
+        return space or ground
+    if ground.why is Why.PARTNER:
+        return space
+    robots = ground.why in _ROBOTS or space.why in _ROBOTS
+    return ground if robots or (space.may and not ground.may) else space
 
 
 def _common(known: Known) -> Situation | None:
@@ -189,6 +204,7 @@ def _common(known: Known) -> Situation | None:
 
 
 _LINK_COMES = "Wait: the link comes back by itself, with the signal."
+_PRESSES = "The simulated hand presses by itself."
 _AGAIN = "Wait: its process is started again by itself."
 _ASK_GROUND = "Ask the ground, in the chat, to switch the robot on."
 
@@ -252,13 +268,15 @@ def _at_hand(known: Known) -> Situation:
                 Why.READY, f"{robot} may follow the hand", Next.WAIT, "Keep it pressed."
             )
         cause = f"{robot} waits for a new press" + _because(known)
+        if known.device == SIMULATED:
+            return Situation(Why.PRESS, cause, Next.WAIT, _PRESSES)
         return _deed(known, Why.PRESS, cause, Next.LET_GO)
     return _ready(known, f"{robot} may follow the hand")
 
 
 def _ready(known: Known, reason: str) -> Situation:
     if known.device == SIMULATED:
-        return Situation(Why.READY, reason, Next.WAIT, "The simulated hand presses by itself.")
+        return Situation(Why.READY, reason, Next.WAIT, _PRESSES)
     if not known.may("hand"):
         return Situation(Why.READY, reason, Next.ASK, "The cosmonaut moves it.")
     if known.device != "page":
