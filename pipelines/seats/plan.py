@@ -7,7 +7,7 @@ from math import ceil
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptic_trace import (
     JOYSTICK_TRACE_TOPIC,
@@ -15,6 +15,7 @@ from pipelines.hand.haptic_trace import (
     charts_of,
     row_type,
 )
+from pipelines.hand.knowledge import EndTraits
 from pipelines.media.following import board_view
 from pipelines.media.taking_over import preview_size
 from pipelines.seats import texts
@@ -32,7 +33,6 @@ from pipelines.session.page_messages import haptic_columns
 from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.situation import SIMULATED
 from pipelines.session.topic import AnyTopic, Topic
 from pipelines.session.topology.rows import Kind
 from pipelines.session.topology.streams import partner_camera, partner_voice
@@ -47,7 +47,7 @@ from telepresence.haptics.device.policy import PolicyAxis, policy_axes
 from telepresence.haptics.device.stick_map import pad_controls
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.specs import PAGE, is_simulated
+from telepresence.haptics.specs import PAGE
 from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
@@ -101,8 +101,7 @@ class SeatPlan:
 
     previews: topics with the small pictures of inputs, by their numbers in messages.
     shown: what processes of the mission show here: by kind of text, the topic.
-    device: the joystick's, as `Known` has it. answers_ns: a press is answered within this time.
-    orders: whether its pages may start and stop the session; in space only if it runs here whole.
+    traits: its end's; orders: whether its pages may start and stop the session.
     axes: of the robot, as a policy has them; none where no page moves the joystick.
     """
 
@@ -114,9 +113,7 @@ class SeatPlan:
     backlog_topic: Topic[Backlog]
     text: texts.SeatText
     dictionary: Dictionary
-    orders: bool
-    device: str
-    answers_ns: int
+    traits: EndTraits
     axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
@@ -201,9 +198,7 @@ def seat_plan(
         backlog_topic=topology.link(segment.transmits).backlog_topic,
         dictionary=dictionary,
         shown={kind: topic for kind, topic in _SHOWN[segment].items() if topic in written},
-        orders=ground or len(topology.segments) > 1,
-        device=SIMULATED if is_simulated(topology.options.joystick) else topology.options.joystick,
-        answers_ns=round(setup.safety.hand_max_age_s * NS_PER_S) + setup.round_trip_ns,
+        traits=EndTraits.of(topology, segment),
         axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
         text=text,
     )
