@@ -113,6 +113,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     experiment: of the present or the next application. partner: whether a partner's robot is
     there; None: the session has none.
     handed: number of the newest telecommand that hands over, and to whom, "policy" or "person".
+    presses_n: how hard the robot presses (N), as far as is known here.
     """
 
     state: int
@@ -147,6 +148,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     held: bool = False
     request: str = ""
     handed: tuple[int, str] = (0, "")
+    presses_n: float = 0.0
 
 
 JOYSTICK_STATE_TOPIC = Topic[JoystickStatus](

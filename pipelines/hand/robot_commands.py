@@ -312,6 +312,7 @@ class JoystickStatusTeller(WatchedTopic):
             held=operation.held,
             request=operation.due_request,
             command_age_ms=handle.command_age_ms,
+            presses_n=round(handle.presses_n, 1),
             axes=tuple(
                 AxisStatus(
                     name=axis.capabilities.name,
