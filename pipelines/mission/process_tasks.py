@@ -95,9 +95,8 @@ class _Tasks:
         )
         if self._kept is None and self._remembered.exists():
             self._ground.switch_off(now_ns)
-        self._other_robot = (
-            TopicReader(bus, SECOND_ROBOT_TOPIC) if options.world.two_hands else None
-        )
+        two_hands = options.world.two_hands
+        self._other_robot = TopicReader(bus, SECOND_ROBOT_TOPIC) if two_hands else None
         self._other: WorldState | None = None
         self._client = TmtcClient(bus, context.session, Segment.GROUND, TASKS, first_number=now_ns)
         self._status = TopicReader(bus, ROBOT_STATUS_TOPIC)

@@ -197,12 +197,10 @@ def texts_of(segment, *, connected):
     """What a page is told in the middle of a session with tasks, with the longest words."""
     catalogue = built_in_tasks()
     topology = topology_of(BUILT_IN["spacejustin"], pages=True, tasks=True, trainer=True)
-    plan = seat_plan(
-        topology, segment, "x", built_in_dictionary(), tasks=listed_tasks(catalogue, TaskWorld())
-    )
+    listed = listed_tasks(catalogue, TaskWorld())
+    plan = seat_plan(topology, segment, "x", built_in_dictionary(), tasks=listed)
     seat = Seat(plan, first_command=1)
     if segment is Segment.GROUND:
-        listed = listed_tasks(catalogue, TaskWorld())
         runs = (RunShown("handshake", 12, "aborted", REASON, 12.5),)
         task = {"phase": "running", "task": "handshake", "run": 13, "elemop": "followContour"}
         experiment = ExperimentShown(**task, panel="press_deadman", tasks=listed, runs=runs)

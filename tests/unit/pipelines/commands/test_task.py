@@ -15,5 +15,5 @@ def test_a_task_that_cannot_be_done_here_is_listed_with_the_reason(capsys):
             name in ("handshake", "ball")
         )
     assert "it needs a robot that measures the force" in lines["spring"]
-    assert "it selects the camera static, and setup lab has stereo" in lines["contour"]
+    assert "it selects the camera static, and setup lab has stereo" in lines["pursuit"]
     assert "Not available" not in lines["aiming"]
