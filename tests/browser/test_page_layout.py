@@ -15,6 +15,7 @@ import pytest
 from positions import ROOT
 
 from kontur_av.clock import NS_PER_S
+from pipelines.mission.mission import listed_tasks
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
@@ -25,7 +26,6 @@ from pipelines.session.mission_messages import (
     PanelShown,
     RobotStatus,
     RunShown,
-    TaskListed,
 )
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -36,7 +36,7 @@ from pipelines.study.trials import StudyPhase, StudyPress, StudyTrials
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import PageDevice
 from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.plan import NEEDS_TWO_HANDS
+from telepresence.tasks.plan import TaskWorld
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
@@ -204,13 +204,10 @@ def texts_of(segment, *, connected):
     """What a page is told in the middle of a session with tasks, with the longest words."""
     catalogue = built_in_tasks()
     topology = topology_of(BUILT_IN["spacejustin"], pages=True, tasks=True, trainer=True)
-    plan = seat_plan(topology, segment, "x", built_in_dictionary(), tasks=catalogue)
+    listed = listed_tasks(catalogue, TaskWorld())
+    plan = seat_plan(topology, segment, "x", built_in_dictionary(), tasks=listed)
     seat = Seat(plan, first_command=1)
     if segment is Segment.GROUND:
-        listed = tuple(
-            TaskListed(one.name, one.text, NEEDS_TWO_HANDS if one.two_handed else "")
-            for one in catalogue.tasks.values()
-        )
         runs = (RunShown("handshake", 12, "aborted", REASON, 12.5),)
         task = {"phase": "running", "task": "handshake", "run": 13, "elemop": "followContour"}
         experiment = ExperimentShown(**task, panel="press_deadman", tasks=listed, runs=runs)
