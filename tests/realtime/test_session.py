@@ -5,25 +5,9 @@ No rate and no latency is asserted, because they depend on the machine.
 
 import cv2
 import numpy as np
+from running_session import assert_nothing_lost_in_contact
 
 WAY = ("frames_captured", "frames_encoded", "frames_sent", "frames_displayed")
-
-
-def assert_nothing_lost_in_contact(report):
-    """Nothing is lost but in a loss of signal, which a host causes that stops for 50 ms.
-
-    Waiting packets are then dropped on purpose, and packets on the link lose some or all parts.
-    """
-    gateways = report["gateways"].values()
-    contacts_lost = sum(end["supervision"]["counts"]["signals_lost"] for end in gateways)
-    for direction, link in report["link"].items():
-        waiting = sum(queue["drops"]["signal_lost"] for queue in link["queue"].values())
-        in_part = link["packets_dropped"].get("incomplete", 0)
-        assert set(link["packets_dropped"]) <= {"incomplete"}, direction
-        assert contacts_lost or waiting == in_part == 0, direction
-        streams = [s for name, s in report["streams"].items() if name.startswith(direction)]
-        assert len(streams) == 2
-        assert sum(stream["rtp_lost"] for stream in streams) <= waiting + in_part + contacts_lost
 
 
 def assert_all_six_flowed(report):
