@@ -39,9 +39,9 @@ async def test_it_aims_three_times_and_hands_over_in_the_fourth(tmp_path, monkey
                 # A page that was late has let go: it presses anew, and goes on from there.
                 while moved_m > -0.01:
                     began = eventually(robot.latest, "the robot's place")
-                    for step in range(60):
+                    for step in range(-9, 61):
                         number += 1
-                        way = {"dead_man": step > 4, "y": max(-0.3, -0.01 * step)}
+                        way = {"dead_man": step > 0, "y": -0.01 * min(max(step, 0), 30)}
                         await page.ws.send_bytes(hand(number, **way))
                         await page.text("state") if number % 10 == 0 else None
                     moved_m = eventually(robot.latest, "the robot's place").y_m - began.y_m
