@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import sending_end
+from pipelines.commands.common import say_situation, sending_end
 from pipelines.mission.choosing import CAMERA, FOCUS, SELECT
 from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
@@ -43,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
                 if not end.ok:
                     why = selection_error(f"{function} {argument}", end)
                     print(f"kontur-av: {why}", file=sys.stderr)
+                    say_situation(name, CAMERA, failed=True)
                     return 1
                 print(f"{done}; acknowledged after {end.round_trip_ms:.1f} ms")
     except ConnectionError:

@@ -19,6 +19,7 @@ from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology.table import SessionOptions, Topology
 from pipelines.session.topology.topics import JOYSTICK, PAGES, TASKS
 from pipelines.table import topology_of
+from telepresence.haptics.device.stick_map import asked_map
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import (
     SIMULATED,
@@ -65,7 +66,7 @@ def checked_components(
 ) -> tuple[Component, ...]:
     """Check the joystick and the robots of these ends, and return the components; ConfigError."""
     if Segment.SPACE in segments:
-        check_joystick(args.joystick, setup.more_axes)
+        check_joystick(args.joystick, setup.more_axes, asked_map(args.joystick_map))
     if Segment.GROUND in segments:
         check_robot(args.robot, setup.more_axes, felt=setup.force == "felt")
         check_robot(args.second_robot)
@@ -95,6 +96,7 @@ def asked_topology(
     pages = args.page is not False
     asked |= {"pages": pages, "recorder": True, "tasks": tasks, "components": components}
     asked["routes"] = load_routes(args.routes)
+    asked["joystick_map"] = asked_map(args.joystick_map)
     topology = topology_of(plan.setup, segments=plan.segments, **asked)
     with refused(f"routes {args.routes}", ConfigError):
         session_dictionary(built_in_dictionary(), topology)
@@ -184,7 +186,7 @@ def ends_here(args: StreamOptions, setup: Setup) -> tuple[Topology, PeerPlan | N
 
 
 def _check_own_options(args: StreamOptions, topology: Topology, end: Segment) -> None:
-    if end is Segment.GROUND and args.joystick != SIMULATED:
+    if end is Segment.GROUND and (args.joystick != SIMULATED or args.joystick_map):
         raise ConfigError("--joystick: the joystick is in space; give it at --end space")
     if end is Segment.SPACE:
         why = ": a partner joins the ground; give it at --end ground"

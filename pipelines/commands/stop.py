@@ -7,11 +7,13 @@ import sys
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.topics.session_files import choose_session
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, situation_now
+from pipelines.session.access import Role
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.option_rows import add_options
-from pipelines.session.sessions import advised, launched_sessions
+from pipelines.session.sessions import launched_sessions, terminal_of
 from pipelines.session.setup.segments import Segment
+from pipelines.session.situation import Known, at_end
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,13 +41,16 @@ def run(args: argparse.Namespace) -> int:
             stopped.append(session)
         except OSError as error:
             failed = error
-    for session in stopped:
-        by = KeptOrders(session).stopped_by or "somebody"
-        print(f"{session}: emergency stop by {by}; {advised('stop --release', session)} ends it")
     # Only now, because loading it takes a while.
     from pipelines.hand.safety_ends import await_stopped
 
     silent = [(one, words) for one in stopped if (words := await_stopped(one, ordered_ns))]
+    for session in stopped:
+        by, answered = KeptOrders(session).stopped_by or "somebody", session not in dict(silent)
+        held = Known(
+            seat=Segment.GROUND, role=Role.OPERATOR, stopped=True, by=by, answered=answered
+        )
+        print(f"{session}: {at_end(held, terminal_of(session)).words}")
     unkept = [(one, words) for one in stopped if (words := KeptOrders(one).settle(wait=True))]
     for session, words in (*silent, *unkept):
         print(f"{session}: {words}", file=sys.stderr)
@@ -84,8 +89,7 @@ def _release(session: str) -> int:
     if silent := await_stopped(session, ordered_ns, stopped=False):
         print(f"{session}: {silent}", file=sys.stderr)
         return 1
-    print(
-        f"{session}: released the emergency stop by {by or 'somebody'}; switch the robot on "
-        f"({advised('tc robot power_on', session)}), then press the dead-man button anew"
-    )
+    told = situation_now(session)
+    now = "" if told is None else f". Now {told.words}"
+    print(f"{session}: released the emergency stop by {by or 'somebody'}{now}")
     return 0

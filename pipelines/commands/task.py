@@ -5,7 +5,7 @@ from random import SystemRandom
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, situation_now
 from pipelines.commands.tc import follow
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import Sending, tmtc_socket_name
@@ -48,6 +48,8 @@ def run(args: argparse.Namespace) -> int:
         shown = _shown(bus, session)
         if args.action == "list":
             _print(shown)
+            if (told := situation_now(session)) is not None:
+                print(told.words)
             return 0
         arguments: tuple[int, ...] = ()
         if args.action == "select":

@@ -1,15 +1,21 @@
 """What a seat's pages are sent and may send, derived from the table of the session."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
+from pipelines.hand.haptic_trace import (
+    JOYSTICK_TRACE_TOPIC,
+    ROBOT_TRACE_TOPIC,
+    charts_of,
+    row_type,
+)
+from pipelines.hand.knowledge import EndTraits
 from pipelines.media.following import board_view
 from pipelines.media.taking_over import preview_size
 from pipelines.seats import texts
@@ -23,10 +29,10 @@ from pipelines.session.mission_messages import (
     PanelShown,
     RobotStatus,
 )
+from pipelines.session.page_messages import haptic_columns
 from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.situation import SIMULATED
 from pipelines.session.topic import AnyTopic, Topic
 from pipelines.session.topology.rows import Kind
 from pipelines.session.topology.streams import partner_camera, partner_voice
@@ -38,9 +44,10 @@ from pipelines.session.topology.topics import (
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.device.policy import PolicyAxis, policy_axes
+from telepresence.haptics.device.stick_map import pad_controls
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.specs import PAGE, is_simulated
+from telepresence.haptics.specs import PAGE
 from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
@@ -94,8 +101,7 @@ class SeatPlan:
 
     previews: topics with the small pictures of inputs, by their numbers in messages.
     shown: what processes of the mission show here: by kind of text, the topic.
-    device: the joystick's, as `Known` has it. answers_ns: a press is answered within this time.
-    orders: whether its pages may start and stop the session; in space only if it runs here whole.
+    traits: its end's; orders: whether its pages may start and stop the session.
     axes: of the robot, as a policy has them; none where no page moves the joystick.
     """
 
@@ -107,9 +113,7 @@ class SeatPlan:
     backlog_topic: Topic[Backlog]
     text: texts.SeatText
     dictionary: Dictionary
-    orders: bool
-    device: str
-    answers_ns: int
+    traits: EndTraits
     axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
@@ -157,6 +161,7 @@ def seat_plan(
         inputs=tuple(_input_text(each) for each in inputs),
         joystick=topology.options.joystick,
         workspace=gathered(texts.WorkspaceText, JoystickModel()),
+        charts=tuple(_charts([axis.place for axis in setup.more_axes])),
         board=texts.BoardText(
             width_m=2 * setup.safety.half_width_m,
             height_m=2 * setup.safety.half_height_m,
@@ -182,6 +187,7 @@ def seat_plan(
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
         exercises=tuple(_exercises(topology)) if topology.options.trainer else (),
+        pad=_pad(topology) if moved else None,
     )
     return SeatPlan(
         segment=segment,
@@ -192,12 +198,20 @@ def seat_plan(
         backlog_topic=topology.link(segment.transmits).backlog_topic,
         dictionary=dictionary,
         shown={kind: topic for kind, topic in _SHOWN[segment].items() if topic in written},
-        orders=ground or len(topology.segments) > 1,
-        device=SIMULATED if is_simulated(topology.options.joystick) else topology.options.joystick,
-        answers_ns=round(setup.safety.hand_max_age_s * NS_PER_S) + setup.round_trip_ns,
+        traits=EndTraits.of(topology, segment),
         axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
         text=text,
     )
+
+
+def _pad(topology: Topology) -> texts.PadText | None:
+    """What a game controller at a page does; None: the usual."""
+    mapping = topology.options.joystick_map
+    if mapping is None:
+        return None
+    controls = pad_controls(mapping, topology.setup.more_axes)
+    axes = tuple(gathered(texts.PadAxisText, axis) for axis in controls.axes)
+    return gathered(texts.PadText, controls, axes=axes)
 
 
 def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:
@@ -207,6 +221,13 @@ def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:
         view = board_view(setup, camera)
         if view is not None:
             yield camera, view.shares(stream.width, stream.height)
+
+
+def _charts(more: Sequence[str]) -> Iterator[texts.ChartText]:
+    """The charts of haptics. more: the places of the axes behind x and y."""
+    columns = haptic_columns(row_type(more))
+    for name, chart in charts_of(more).items():
+        yield gathered(texts.ChartText, chart, column=columns.index(name))
 
 
 def welcome_text(

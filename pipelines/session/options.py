@@ -112,6 +112,7 @@ class StreamOptions:
         "sim); see `kontur-av joystick list`",
         SIMULATED,
     )
+    joystick_map: Path | None = _robot("--joystick-map")
     second_robot: str = _robot("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT)
     hand: HandMode | None = _robot(
         "what the hand feels: the robot's delayed force (direct), a wall rendered at the joystick "

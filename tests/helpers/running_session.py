@@ -16,7 +16,7 @@ import pytest
 from common import TIMEOUT_S, WORKER, eventually, free_port
 
 from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.session_files import shared_memory
+from kontur_av.topics.session_files import SHARED_MEMORY, shared_memory
 from pipelines.session.command_process import end_with_parent
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import PORTS, RtcLeg
@@ -126,8 +126,8 @@ class RunningSession:
         """Start the command with these words, which runs these processes."""
         self.directory = Path(directory)
         self.report_path = self.directory / "report.json"
-        # Short, because the path of a Unix socket has at most 107 octets.
-        self.temporary = Path(tempfile.mkdtemp(prefix="kav"))
+        # Short, because the path of a Unix socket has at most 107 octets; no disk can stall it.
+        self.temporary = Path(tempfile.mkdtemp(prefix="kav", dir=SHARED_MEMORY))
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
         # A test's next session has the robot of the one before, and its stop.

@@ -75,7 +75,12 @@ export class HandPanel extends HTMLElement {
       const { half_width_m: x, half_height_m: y } = this.#workspace;
       return { x, y };
     });
-    steerByController(control, () => forceShare(newest.forceN ?? 0));
+    steerByController(control, () => forceShare(newest.forceN ?? 0), {
+      mapping: () => connection.hello?.pad ?? null,
+      axes: () => (connection.state?.joystick?.axes ?? []).map(({ name }) => name),
+      stop: () => void connection.request({ do: "stop", action: "stop" }),
+      handOver: () => (this.#buttons.policy.hidden ? this.#actByKey() : this.#handOver()),
+    });
     keyboard.add(
       { keys: ["Escape"], shown: "Esc", what: "let go of the handle", down: () => control.releaseAll() },
       { keys: ["h"], what: "take the handle, ask for it, or give it up", down: () => this.#actByKey() },
