@@ -20,8 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "camera CAMERA <?>  for example stereo, static or head",
-        "--focus X,Y,W,H  code this rectangle finer: its left and upper edge, width and height, as "
-        "shares of the picture from 0 to 1, like 0.4,0.3,0.2,0.25; off takes it away",
+        "--focus X,Y,W,H  code a rectangle finer: left and upper edge, width and height, as shares "
+        "of the picture, like 0.4,0.3,0.2,0.25; off takes it away",
         "--session",
     )
 

@@ -34,21 +34,26 @@ def run(args: argparse.Namespace) -> int:
         return _release(acting_on(args.session, running, moves=True))
     # A stop must not wait for a name.
     named = args.session is not None or not running
-    stopped, failed, ordered_ns = [], None, MonotonicClock().now_ns()
+    #: Who stopped each.
+    stopped: dict[str, str] = {}
+    failed, ordered_ns = None, MonotonicClock().now_ns()
     for session in [choose_session(args.session, running)] if named else running:
         try:
             KeptOrders(session).stop(f"a terminal of {_user()}")
-            stopped.append(session)
+            stopped[session] = KeptOrders(session).stopped_by or "somebody"
         except OSError as error:
             failed = error
     # Only now, because loading it takes a while.
     from pipelines.hand.safety_ends import await_stopped
 
     silent = [(one, words) for one in stopped if (words := await_stopped(one, ordered_ns))]
-    for session in stopped:
-        by, answered = KeptOrders(session).stopped_by or "somebody", session not in dict(silent)
+    for session, by in stopped.items():
         held = Known(
-            seat=Segment.GROUND, role=Role.OPERATOR, stopped=True, by=by, answered=answered
+            seat=Segment.GROUND,
+            role=Role.OPERATOR,
+            stopped=True,
+            by=by,
+            answered=session not in dict(silent),
         )
         print(f"{session}: {at_end(held, terminal_of(session)).words}")
     unkept = [(one, words) for one in stopped if (words := KeptOrders(one).settle(wait=True))]

@@ -25,13 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "action <list|select|start|abort>  list: the tasks, and where the present one is; select: "
-        "prepare the robot, and tell the cosmonaut; start: begin in the cosmonaut's place; abort: "
-        "end it",
+        "prepare the robot, and tell the cosmonaut; start: in the cosmonaut's place",
         "task TASK <?>  which one to select",
         "--session",
     )
     parser.description = (
-        "What an experimenter on the ground does with the tasks of a session that was started with "
+        "What an experimenter does with the tasks of a session that was started with "
         "--tasks or --plan. Exit code 1 if it is refused."
     )
 

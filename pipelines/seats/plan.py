@@ -28,6 +28,7 @@ from pipelines.session.mission_messages import (
     ExperimentShown,
     PanelShown,
     RobotStatus,
+    TaskListed,
 )
 from pipelines.session.page_messages import haptic_columns
 from pipelines.session.session_metrics import gathered
@@ -51,7 +52,6 @@ from telepresence.haptics.specs import PAGE
 from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
-from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.positions import goal_paths
 from telepresence.tmtc.pus.dictionary import Dictionary
 
@@ -129,12 +129,12 @@ def seat_plan(
     session: str,
     dictionary: Dictionary,
     *,
-    tasks: Catalogue | None = None,
+    tasks: Sequence[TaskListed] = (),
 ) -> SeatPlan:
     """Return the plan of a segment's seat.
 
     session: the name of the session. dictionary: of its telecommands and telemetry.
-    tasks: what people in space know of the tasks, in a session with some.
+    tasks: what people in space know of them, in a session with some.
     """
     setup = topology.setup
     written = {topic for row in topology.processes for topic in row.writes}
@@ -177,13 +177,7 @@ def seat_plan(
         caps={each.value: topology.link(each).profile.capacity_bps for each in Direction},
         applications=application_texts(dictionary),
         tasks=tasked,
-        task_list=tuple(
-            texts.TaskText(name=task.name, text=task.text)
-            for task in (() if tasks is None else tasks.tasks.values())
-            # What cannot be done here is not offered.
-            if not (task.two_handed and setup.partner_arm != "second")
-            and set(task.cameras) <= set(setup.cameras)
-        ),
+        task_list=tuple(gathered(texts.TaskText, task) for task in tasks),
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
         exercises=tuple(_exercises(topology)) if topology.options.trainer else (),

@@ -433,10 +433,11 @@ class ApplicationText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TaskText(msgspec.Struct, frozen=True, kw_only=True):
-    """A task that can be selected. text: for the cosmonaut."""
+    """A task. text: for the cosmonaut. lacks: why it cannot be done here; "" if it can."""
 
     name: str
     text: str
+    lacks: str = ""
 
 
 class PassText(msgspec.Struct, frozen=True, kw_only=True):

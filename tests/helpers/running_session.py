@@ -316,3 +316,22 @@ def assert_sound(report):
     for direction, link in report["link"].items():
         octets = sum(link["octets"].values())
         assert octets == profiles[direction] * link["frames"] > 0, direction
+
+
+def assert_nothing_lost_in_contact(report):
+    """Nothing is lost but in a loss of signal, which a host causes that stops for 50 ms.
+
+    Waiting packets are then dropped on purpose, and packets on the link lose some or all parts.
+    Return how often the signal was lost.
+    """
+    gateways = report["gateways"].values()
+    contacts_lost = sum(end["supervision"]["counts"]["signals_lost"] for end in gateways)
+    for direction, link in report["link"].items():
+        waiting = sum(queue["drops"]["signal_lost"] for queue in link["queue"].values())
+        in_part = link["packets_dropped"].get("incomplete", 0)
+        assert set(link["packets_dropped"]) <= {"incomplete"}, direction
+        assert contacts_lost or waiting == in_part == 0, direction
+        streams = [s for name, s in report["streams"].items() if name.startswith(direction)]
+        assert len(streams) == 2
+        assert sum(stream["rtp_lost"] for stream in streams) <= waiting + in_part + contacts_lost
+    return contacts_lost

@@ -90,8 +90,8 @@
  */
 
 /**
- * A task that can be selected. text: for the cosmonaut.
- * @typedef {{name: string, text: string}} TaskText
+ * A task. text: for the cosmonaut. lacks: why it cannot be done here; "" if it can.
+ * @typedef {{name: string, text: string, lacks: string}} TaskText
  */
 
 /**
