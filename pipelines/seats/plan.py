@@ -97,7 +97,7 @@ class SeatPlan:
     shown: what processes of the mission show here: by kind of text, the topic.
     device: the joystick's, as `Known` has it. answers_ns: a press is answered within this time.
     orders: whether its pages may start and stop the session; in space only if it runs here whole.
-    axes: of the robot, as a policy has them; none where no page moves the joystick.
+    moved: a page moves the joystick. axes: of the robot, as a policy has them.
     """
 
     segment: Segment
@@ -111,6 +111,7 @@ class SeatPlan:
     orders: bool
     device: str
     answers_ns: int
+    moved: bool
     axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
@@ -197,7 +198,8 @@ def seat_plan(
         orders=ground or len(topology.segments) > 1,
         device=SIMULATED if is_simulated(topology.options.joystick) else topology.options.joystick,
         answers_ns=round(setup.safety.hand_max_age_s * NS_PER_S) + setup.round_trip_ns,
-        axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
+        moved=moved,
+        axes=policy_axes(setup.axes, setup.more_axes),
         text=text,
     )
 
