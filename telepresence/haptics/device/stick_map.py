@@ -31,6 +31,7 @@ _BUTTON_CODES = {
     for first, names in _BUTTONS.items()
     for code, name in enumerate(names.split(), first)
 }
+_OTHER_NAMES = {"A": 0x130, "B": 0x131, "X": 0x133, "Y": 0x134}
 _NAMES = {("ABS", code): f"ABS_{name}" for name, code in _AXIS_CODES.items()} | {
     ("BTN", code): f"BTN_{name}" for name, code in _BUTTON_CODES.items()
 }
@@ -49,7 +50,7 @@ class Control(int):
 
     def __new__(cls, name: str) -> "Control":
         kind, _, rest = name.partition("_")
-        code = _BUTTON_CODES.get(rest) if kind == "BTN" else _AXIS_CODES.get(rest)
+        code = (_BUTTON_CODES | _OTHER_NAMES).get(rest) if kind == "BTN" else _AXIS_CODES.get(rest)
         if kind not in ("ABS", "REL", "BTN") or code is None:
             if (match := fullmatch(_BY_NUMBER, name)) is None:
                 raise ConfigError(
@@ -70,7 +71,7 @@ def control_name(code: int, *, button: bool) -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MappedAxis:
-    """What moves an axis; a table `[axis.NAME]` of the file. ConfigError for what cannot be.
+    """What moves an axis; a table `[axis.NAME]` of the file.
 
     control: an axis, such as "ABS_RX"; or two controls, of which the first counts up and the
     second down: triggers or buttons.
@@ -86,7 +87,8 @@ class MappedAxis:
     dead_zone: float = 0.0
     mode: Literal["position", "rate"] = "position"
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise ConfigError for what cannot be."""
         controls = self.controls
         if len(controls) == 1 and controls[0].button:
             raise ConfigError(f"control {self.control} is a button: give two, up and down")
@@ -136,7 +138,9 @@ class StickMap:
     buttons: MappedButtons
 
     def __post_init__(self) -> None:
-        for name in self.axis:
+        for name, row in self.axis.items():
+            with refused(f"axis.{name}", ConfigError):
+                row.check()
             if name not in ("x", "y", *AXIS_NAMES):
                 AxisName(name, AxisSettings(kind="linear"))
         moved = [
