@@ -135,14 +135,13 @@ def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
             holder = _inner(get_type_hints(holder)[key]) or holder
         elif index == "...":
             # A value of a mapping; msgspec does not say which key it belongs to.
-            inner = None if field is None else _inner(get_type_hints(kind)[field.name])
-            for of, one in value.items() if inner is not None else ():
+            name = path.partition("[...]")[0].removeprefix(".")
+            for of, one in value.items() if is_dataclass(holder) and holder is not kind else ():
                 try:
-                    typed(one, inner, "")
+                    typed(one, holder, "")
                 except ConfigError as error:
                     told = str(error)
-                    return f"{field.name}.{of}{'' if told[:1] in ' :' else '.'}{told}"
-            name = path.partition("[...]")[0].removeprefix(".")
+                    return f"{name}.{of}{'' if told.startswith(' ') else '.'}{told}"
             return f"{name} must be {_wanted(wrong, name, field, holder)} throughout"
         else:
             value = value[int(index)]

@@ -1,4 +1,4 @@
-"""Which control of a device moves which axis: a TOML file, checked at one door.
+"""Which control of a device moves which axis: what a joystick map can say. A core.
 
 Names of controls are those of the kernel's `linux/input-event-codes.h`; of a browser's gamepad,
 those that have the same place in the W3C's "Standard Gamepad".
@@ -8,13 +8,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from pathlib import Path
 from re import fullmatch
 from typing import Final, Literal, NamedTuple
 
 from kontur_av.errors import ConfigError, refused
 from telepresence.haptics.axes import AXIS_NAMES, AxisName, AxisSettings
-from telepresence.toml_file import read_toml, typed
 
 _FIRST_AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "THROTTLE", "RUDDER", "WHEEL", "GAS", "BRAKE")
 _HATS = [f"HAT{number}{way}" for number in range(4) for way in "XY"]
@@ -162,18 +160,6 @@ class StickMap:
                 has += [control_name(code, button=True) for code in sorted(keys)]
                 name = control_name(control, button=control.button)
                 raise ConfigError(f"{where}: there is no {name}; it has {', '.join(has)}")
-
-
-def read_stick_map(path: Path) -> StickMap:
-    """Return the mapping in a TOML file; ConfigError, in one line."""
-    table = read_toml(path, "joystick map")
-    with refused(f"joystick map {path}", ConfigError):
-        return typed(table, StickMap, "a joystick map")
-
-
-def asked_map(path: Path | None) -> StickMap | None:
-    """Return the mapping of a file; None without one. ConfigError."""
-    return None if path is None else read_stick_map(path)
 
 
 #: By control: the axis or the button of a browser's standard gamepad; a hat's and a trigger's are

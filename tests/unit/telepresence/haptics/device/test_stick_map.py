@@ -7,8 +7,9 @@ from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.cli import main
 from telepresence.haptics.axes import AxisName, AxisSettings
+from telepresence.haptics.device.gamepad import read_stick_map
 from telepresence.haptics.device.stick import Stick
-from telepresence.haptics.device.stick_map import pad_controls, read_stick_map
+from telepresence.haptics.device.stick_map import pad_controls
 
 MAP = """
 [axis.x]
