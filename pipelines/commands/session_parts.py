@@ -10,7 +10,7 @@ from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
 from pipelines.hand.safety_ends import within
 from pipelines.link.own_ends import PeerPlan, chosen_end
-from pipelines.mission.mission import TaskOptions
+from pipelines.mission.mission import TaskOptions, listed_tasks
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
@@ -29,6 +29,7 @@ from telepresence.haptics.specs import (
     is_simulated,
 )
 from telepresence.tasks.cosmonaut import Skill
+from telepresence.tasks.plan import TaskWorld
 from telepresence.tasks.task_files import load_plan, load_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.routes import TelemetryRoute, read_routes
@@ -114,7 +115,14 @@ def task_options(
         refuse_options(args, " is for tasks: give --tasks or --plan, too", "leds", "runs")
         return None
     metadata = capabilities_of(args.robot) if Segment.GROUND in segments else None
-    two_hands = metadata is not None and metadata.two_hands and setup.partner_arm == "second"
+    # Space alone does not know the ground's robot.
+    two_hands = metadata.two_hands if metadata is not None else Segment.GROUND not in segments
+    world = TaskWorld(
+        cameras=setup.cameras,
+        setup=setup.name,
+        two_hands=two_hands and setup.partner_arm == "second",
+        measures=metadata is None or metadata.force == "felt",
+    )
     files = args.tasks or ()
     if args.plan is None:
         plan, catalogue = None, load_tasks(files)
@@ -122,7 +130,7 @@ def task_options(
         raise ConfigError("--plan names its files itself: leave those of --tasks out")
     else:
         plan, catalogue = load_plan(args.plan)
-        plan.check(catalogue, setup.cameras, setup.name, two_hands=two_hands)
+        plan.check(catalogue, world)
     simulated = is_simulated(args.joystick)
     if plan is None and (len(segments) == 1 or args.leds is not None):
         # Its eyes need both; people do without it.
@@ -148,7 +156,7 @@ def task_options(
         leds=leds,
         runs=None if runs is None else str(runs.resolve()),
         simulated=simulated,
-        two_hands=two_hands,
+        world=world,
     )
 
 
@@ -158,7 +166,7 @@ def task_arguments(options: TaskOptions | None) -> Mapping[str, Mapping[str, obj
         return {}
     arguments: dict[str, dict[str, object]] = {
         TASKS: {"options": options},
-        PAGES[Segment.SPACE]: {"tasks": options.catalogue},
+        PAGES[Segment.SPACE]: {"tasks": listed_tasks(options.catalogue, options.world)},
     }
     if options.simulated:
         plan = options.plan

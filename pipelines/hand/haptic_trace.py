@@ -5,9 +5,10 @@ is packed at once, because packing row by row would cost several times as much.
 """
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
-from typing import Any, Final
+from operator import attrgetter
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +18,60 @@ from pipelines.session.topic import Topic
 from telepresence.haptics.axes import MOST_MORE_AXES
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
-#: One cycle. time_ns: its instant. x_m, y_m: place of the handle, or of the tip. fx_n, fy_n: the
-#: force that the handle displays, or that of the board on the tip. energy_uj: credit of the port.
-#: flags: see `flags_of`. sent: number of the sample that this end sent in the cycle. received:
-#: number of the newest sample that it acted on for the first time. `NO_SAMPLE`: there was none.
+
+class StripChart(NamedTuple):
+    """A chart of the pages. factor turns a value into `unit`; at least ±least of that is shown."""
+
+    title: str
+    unit: str
+    factor: float
+    least: float
+
+
+class SampleField(NamedTuple):
+    """A field of a cycle; float32. All that shows or keeps cycles derives from `FIELDS`.
+
+    name: with its unit. what: meaning and unit in words. joystick, robot: where its value is at
+    that end, an attribute of the `JoystickSide` or `RobotSide`; "unknown": nowhere, so NaN.
+    chart: of the pages; None: it is not drawn. parameter, unit: in the robot's report of its state;
+    "": it is not there.
+    """
+
+    name: str
+    what: str
+    joystick: str
+    robot: str
+    chart: StripChart | None = None
+    parameter: str = ""
+    unit: str = ""
+
+
+_PLACE_WORDS = "position of this end's handle or tip, m"
+_FORCE_WORDS = "force that the handle displays, or of the board on the tip, N"
+_CREDIT = "controller.credit_uj"
+_PLANE: Final = ("x", "y")
+#: A new one goes to the end, since recordings number them.
+FIELDS: Final = (
+    *(
+        SampleField(f"{axis}_m", _PLACE_WORDS, f"handle.{axis}_m", f"robot.{axis}_m")
+        for axis in _PLANE
+    ),
+    *(
+        SampleField(f"f{axis}_n", _FORCE_WORDS, f"force_{axis}_n", f"robot.push_{axis}_n")
+        for axis in _PLANE
+    ),
+    SampleField("energy_uj", "credit of this end's port, µJ", _CREDIT, _CREDIT),
+)
+#: Those that every recording has, whatever its version.
+FIRST_FIELDS: Final = 5
+_NAMES: Final = tuple(each.name for each in FIELDS)
+#: One cycle. time_ns: its instant. flags: see `flags_of`. sent: number of the sample that this end
+#: sent in the cycle. received: number of the newest sample that it acted on for the first time.
+#: `NO_SAMPLE`: there was none.
 ROW: Final = np.dtype(
     [
         ("time_ns", "<i8"),
-        ("x_m", "<f4"),
-        ("y_m", "<f4"),
-        ("fx_n", "<f4"),
-        ("fy_n", "<f4"),
-        ("energy_uj", "<f4"),
+        *((name, "<f4") for name in _NAMES),
         ("flags", "<u4"),
         ("sent", "<i4"),
         ("received", "<i4"),
@@ -37,13 +80,36 @@ ROW: Final = np.dtype(
 NO_SAMPLE: Final = -1
 
 
-def axis_columns(place: str) -> tuple[str, str, str]:
-    """Return the fields of an axis behind x and y in a row: place, force, credit of its port.
+def field_values(end: Literal["joystick", "robot"]) -> Callable[[Any], tuple[float, ...]]:
+    """Return what takes the values of `FIELDS` from a side of this end."""
+    paths = [getattr(each, end) for each in FIELDS]
+    # One call of C for all of them, a thousand times a second.
+    return attrgetter(*paths)
 
-    place: the first of them, such as `z_m` or `pan_rad`; its unit is that of the axis.
+
+def axis_columns(place: str) -> tuple[str, str, str]:
+    """Return the fields of an axis in a row: place, force, credit of its port.
+
+    place: the first of them, such as `z_m` or `pan_rad`; its unit is that of the axis. x and y have
+    one port.
     """
     name, _, unit = place.rpartition("_")
+    if name in _PLANE:
+        return place, f"f{name}_n", "energy_uj"
     return place, f"{name}_n" if unit == "m" else f"{name}_n_m", f"{name}_uj"
+
+
+def charts_of(more: Sequence[str]) -> dict[str, StripChart]:
+    """Return the pages' charts by their fields. more: the places of the axes behind x and y."""
+    charts = {each.name: each.chart for each in FIELDS if each.chart is not None}
+    for place in ("x_m", "y_m", *more):
+        (name, _, unit), (_, force, _) = place.rpartition("_"), axis_columns(place)
+        place_unit, force_unit = (("mm", 1000.0, 20.0), ("N", 1.0, 1.0))
+        if unit == "rad":
+            place_unit, force_unit = ("rad", 1.0, 0.2), ("N m", 1.0, 0.1)
+        charts[force] = StripChart(f"force {name}", *force_unit)
+        charts[place] = StripChart(f"position {name}", *place_unit)
+    return dict(sorted(charts.items(), key=lambda each: each[1].title))
 
 
 def row_type(places: Sequence[str]) -> "np.dtype[np.void]":
@@ -53,7 +119,13 @@ def row_type(places: Sequence[str]) -> "np.dtype[np.void]":
 
 
 def places_of(columns: Iterable[str]) -> list[str]:
-    """Return the place of each axis behind x and y in the fields of rows or of a table."""
+    """Return the place of each axis in the fields of rows or of a table, x and y first."""
+    known = tuple(columns)
+    return [place for place in ("x_m", "y_m") if place in known] + more_places(known)
+
+
+def more_places(columns: Iterable[str]) -> list[str]:
+    """Return the place of each axis behind x and y, likewise."""
     known = dict.fromkeys(columns)
     names = [one.removesuffix("_uj") for one in known if one.endswith("_uj")]
     places = [place for name in names for place in (f"{name}_m", f"{name}_rad")]
@@ -83,6 +155,8 @@ _STATE_BIT, _LIT_BIT = 8, 16
 #: The fields of `ROW` up to `flags`; then, of this end of the link: samples sent before this cycle,
 #: samples received, number of the newest of these; then the fields of the axes.
 Row = Sequence[Any]
+#: Where the first of these numbers is.
+_NUMBERS: Final = len(FIELDS) + 2
 
 
 def flags_of(*, contact: bool, dead_man: bool, acted: bool, state: int, lit: int | None) -> int:
@@ -159,7 +233,9 @@ class HapticTrace(WatchedTopic):
 
     def __init__(self, axes: Sequence[str] = ()) -> None:
         super().__init__()
-        self._pack = struct.Struct("<" + ("q5fI2i" + 3 * len(axes) * "f") * BLOCK_ROWS).pack
+        self._pack = struct.Struct(
+            "<" + (f"q{len(FIELDS)}fI2i" + 3 * len(axes) * "f") * BLOCK_ROWS
+        ).pack
         text = " ".join(axes).encode("ascii")
         # Blocks of such a length have no more axes.
         text += b" " * ((len(text) + 1) % ROW.itemsize == 0)
@@ -188,11 +264,11 @@ class HapticTrace(WatchedTopic):
         values: list[float] = []
         before = self._received
         for row, following in pairwise(rows[: BLOCK_ROWS + 1]):
-            sent, received, newest = row[7:10]
-            values += row[:7]
-            values.append(NO_SAMPLE if following[7] == sent else sent % SEQUENCE_MODULUS)
+            sent, received, newest = row[_NUMBERS : _NUMBERS + 3]
+            values += row[:_NUMBERS]
+            values.append(NO_SAMPLE if following[_NUMBERS] == sent else sent % SEQUENCE_MODULUS)
             values.append(NO_SAMPLE if before in (None, received) else newest)
-            values += row[10:]
+            values += row[_NUMBERS + 3 :]
             before = received
         self._received = before
         del rows[:BLOCK_ROWS]

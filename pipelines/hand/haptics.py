@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.hand.haptic_trace import HapticTrace, flags_of
+from pipelines.hand.haptic_trace import FIELDS, FIRST_FIELDS, HapticTrace, field_values, flags_of
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
@@ -47,6 +47,7 @@ class _End(Generic[Side]):
         self.poll_transmit = side.poll_transmit
         self._cycle = side.handle_cycle
         self._acted = 0
+        self._values = field_values("robot" if isinstance(side, RobotSide) else "joystick")
         self._sent = probe.series(SampleSentRow)
         self._received = probe.series(SampleReceivedRow)
 
@@ -55,15 +56,11 @@ class _End(Generic[Side]):
         before, self._acted = self._acted, self.side.controller.acted
         return before != self._acted
 
-    def _numbers(self) -> tuple[int, int, int]:
-        """Samples sent and received so far, and the number of the newest received."""
-        link = self._link
-        return link.sent, link.counts.received, link.numbers.newest
-
-    def _axes_row(self) -> Sequence[float]:
-        """Place, force and credit of each axis behind x and y."""
-        axes = self.side.axes
-        return () if axes is None else axes.row()
+    def _trace_cycle(self, now_ns: int, values: Sequence[float], flags: int) -> None:
+        """Add a row. values: of the fields of a cycle."""
+        link, axes = self._link, self.side.axes
+        numbers = link.sent, link.counts.received, link.numbers.newest
+        self.trace.add((now_ns, *values, flags, *numbers, *(() if axes is None else axes.row())))
 
     def _of_partner(self) -> bool:
         """Whether samples come from a partner's robot, which tells nobody when it sent them."""
@@ -247,26 +244,24 @@ class RobotEnd(_End[RobotSide]):
         return state
 
     def _add_row(self, now_ns: int) -> None:
-        seen = None if self.board is None else self.board.seen(now_ns)
+        side, seen = self.side, None if self.board is None else self.board.seen(now_ns)
         if seen is not None:
             # The trace is of the robot that answers the joystick.
             flags = flags_of(
                 contact=seen.contact, dead_man=seen.dead_man, acted=False, state=0, lit=None
             )
-            partner = (now_ns, *seen[:4], 0.0, flags)
-            self.trace.add((*partner, *self._numbers(), *self._axes_row()))
+            more = (side.unknown,) * (len(FIELDS) - FIRST_FIELDS)
+            self._trace_cycle(now_ns, (*seen[:4], 0.0, *more), flags)
             return
-        side, robot, command = self.side, self.side.robot, self._latest(now_ns)
+        command = self._latest(now_ns)
         flags = flags_of(
-            contact=robot.contact,
+            contact=side.robot.contact,
             dead_man=command is not None and command.dead_man,
             acted=self._has_acted(),
             state=0 if command is None else command.state,
             lit=side.lit,
         )
-        push_x, push_y, credit_uj = robot.push_x_n, robot.push_y_n, side.controller.credit_uj
-        cycle = (now_ns, robot.x_m, robot.y_m, push_x, push_y, credit_uj, flags)
-        self.trace.add((*cycle, *self._numbers(), *self._axes_row()))
+        self._trace_cycle(now_ns, self._values(side), flags)
 
 
 class JoystickEnd(_End[JoystickSide]):
@@ -366,7 +361,7 @@ class JoystickEnd(_End[JoystickSide]):
             self._felt.add(StepRow(step.instant_ns))
 
     def _add_row(self, now_ns: int, feedback: Feedback | None) -> None:
-        side, handle = self.side, self.side.handle
+        handle = self.side.handle
         flags = flags_of(
             contact=feedback is not None and feedback.contact,
             dead_man=handle.dead_man,
@@ -374,6 +369,4 @@ class JoystickEnd(_End[JoystickSide]):
             state=handle.state,
             lit=None if feedback is None else feedback.lit,
         )
-        force_x, force_y, credit_uj = side.force_x_n, side.force_y_n, side.controller.credit_uj
-        cycle = (now_ns, handle.x_m, handle.y_m, force_x, force_y, credit_uj, flags)
-        self.trace.add((*cycle, *self._numbers(), *self._axes_row()))
+        self._trace_cycle(now_ns, self._values(self.side), flags)

@@ -12,7 +12,7 @@ from pipelines.hand.haptic_trace import (
     DEAD_MAN,
     axis_columns,
     lit_of,
-    places_of,
+    more_places,
     state_of,
 )
 from pipelines.hand.haptics import CYCLE_NS
@@ -100,7 +100,7 @@ class ReplayedEnd:
         self, rows: NDArray[np.void], time: ReplayTime, probe: Probe, *, robot: bool, boot_id: int
     ) -> None:
         self._robot = robot
-        axes = places_of(rows.dtype.names or ())
+        axes = more_places(rows.dtype.names or ())
         make = robot_link if robot else joystick_link
         self._link: HapticLink[Any, Any] = make(boot_id=boot_id, more=len(axes))
         # Of each axis what the samples of this end carry, at its lever.

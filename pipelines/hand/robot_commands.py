@@ -10,7 +10,7 @@ from pipelines.hand.hand_topics import (
     JoystickStatus,
     RobotOrders,
 )
-from pipelines.hand.haptic_trace import WatchedTopic
+from pipelines.hand.haptic_trace import FIELDS, WatchedTopic, field_values
 from pipelines.session.mission_messages import RobotCommand, RobotOrder, RobotStatus
 from telepresence.haptics.authority import Authority, PartnerBoard
 from telepresence.haptics.bilateral import RobotSide
@@ -60,7 +60,8 @@ class RobotCommands:
             side.robot, limits=limits_of(side.robot.capabilities), powered=powered, mode=mode
         )
         self._envelope = side.envelope or SafetyEnvelope()
-        self._link = side.link
+        self._link, self._side = side.link, side
+        self._values = field_values("robot")
         self._board, self._tasks = board, tasks
         #: It is on again once it is no longer left out.
         self._again = False
@@ -183,6 +184,11 @@ class RobotCommands:
             barred=envelope.barred.value,
             blind=envelope.blind,
             partner_seen=self._partner_seen(now_ns),
+            fields={
+                each.parameter: float(value)
+                for each, value in zip(FIELDS, self._values(self._side), strict=True)
+                if each.parameter
+            },
         )
 
     def _partner_seen(self, now_ns: int) -> tuple[float, float, float, bool, int] | None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
+from pipelines.hand.haptic_trace import FIELDS
 from pipelines.mission.choosing import CAMERA
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, RaiseEvent, SetValues
 from pipelines.mission.tmtc_messages import Values as TmtcValues
@@ -285,24 +286,28 @@ class ProcessSupervisor:
 
 
 def _with_axes(dictionary: Dictionary, axes: Sequence[AxisName]) -> Dictionary:
-    """Give the robot's report of state place and force of each axis behind x and y."""
-    if not axes:
+    """Give the robot's report of state place and force of each axis behind x and y.
+
+    Also the fields of a cycle that have a parameter.
+    """
+    units = {each.parameter: each.unit for each in FIELDS if each.parameter}
+    for axis in axes:
+        turned = axis.kind == "rotary"
+        units |= {str(axis): "rad" if turned else "m", f"{axis}_force": "N.m" if turned else "N"}
+    if not units:
         return dictionary
 
     def wider(table: Application) -> Application:
-        names, last = [], max(one.number for one in table.parameters)
-        added = []
-        for axis in axes:
-            units = ("m", "N") if axis.kind == "linear" else ("rad", "N.m")
-            for name, unit in zip((str(axis), f"{axis}_force"), units, strict=True):
-                names.append(name)
-                number = last + len(names)
-                added.append(Parameter(name=name, number=number, type="f32", unit=unit))
+        first = max(one.number for one in table.parameters) + 1
+        added = [
+            Parameter(name=name, number=number, type="f32", unit=unit)
+            for number, (name, unit) in enumerate(units.items(), first)
+        ]
         return replace(
             table,
             parameters=(*table.parameters, *added),
             structures=tuple(
-                replace(one, parameters=(*one.parameters, *names)) if one.name == "state" else one
+                replace(one, parameters=(*one.parameters, *units)) if one.name == "state" else one
                 for one in table.structures
             ),
         )

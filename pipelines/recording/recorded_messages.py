@@ -20,6 +20,7 @@ from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand import haptic_trace
 from pipelines.hand.hand_topics import DriverState
+from pipelines.hand.haptic_trace import FIRST_FIELDS
 from pipelines.recording.schemas import (
     FOXGLOVE,
     OWN,
@@ -434,7 +435,7 @@ def _text(value: object) -> object:
     return value.encode("utf-8", "replace").decode() if isinstance(value, str) else value
 
 
-_PLACES = [f"{name}_{'m' if AxisName(name).kind == 'linear' else 'rad'}" for name in AXIS_NAMES]
+_PLACES = [AxisName(name).place for name in AXIS_NAMES]
 _OWN_FIELDS = [
     (f"own_{own}", f"own_{own}_force", f"own_{own}_uj") for own in range(1, MOST_OWN_AXES + 1)
 ]
@@ -447,11 +448,7 @@ HAPTIC_SAMPLES = MessageSchema(
     fields=numbered(
         ("sfixed64[]", "time_ns", "instant of the cycle, session clock"),
         ("sfixed32[]", "sequence", "number of the sample on the link, 0 to 65535; -1: none"),
-        ("float[]", "x_m", "position of this end's handle or tip, m"),
-        ("float[]", "y_m", "as `x_m`"),
-        ("float[]", "fx_n", "force that the handle displays, or of the board on the tip, N"),
-        ("float[]", "fy_n", "as `fx_n`"),
-        ("float[]", "energy_uj", "credit of this end's port, µJ"),
+        *(("float[]", each.name, each.what) for each in haptic_trace.FIELDS[:FIRST_FIELDS]),
         (
             "fixed32[]",
             "flags",
@@ -473,17 +470,18 @@ HAPTIC_SAMPLES = MessageSchema(
             for own, fields in enumerate(_OWN_FIELDS, 1)
             for field, like in zip(fields, ("x_m", "fx_n", "energy_uj"), strict=True)
         ),
+        *(("float[]", each.name, each.what) for each in haptic_trace.FIELDS[FIRST_FIELDS:]),
     ),
 )
-_DTYPES = {"sfixed64": "<i8", "sfixed32": "<i4", "float": "<f4", "fixed32": "<u4"}
 _AXIS_FIELDS = [field for place in _PLACES for field in haptic_trace.axis_columns(place)]
 _OWN = [field for fields in _OWN_FIELDS for field in fields]
 #: A haptic sample of a recording; fields as in the schema. More axes have theirs behind it.
 SAMPLE: Final = np.dtype(
     [
-        (row.name, _DTYPES[row.type])
-        for row in HAPTIC_SAMPLES.fields
-        if row.name not in ("own_axes", *_AXIS_FIELDS, *_OWN)
+        ("time_ns", "<i8"),
+        ("sequence", "<i4"),
+        *((each.name, "<f4") for each in haptic_trace.FIELDS),
+        ("flags", "<u4"),
     ]
 )
 VIDEO, AUDIO, LOG = RecordedPicture.schema, RecordedSound.schema, LogLine.schema
@@ -521,7 +519,7 @@ def haptic_samples(
 
     sequences: (rows,), the number of each cycle's sample on the link; None: not known.
     """
-    places = haptic_trace.places_of(rows.dtype.names or ())
+    places = haptic_trace.more_places(rows.dtype.names or ())
     axes = [field for place in places for field in haptic_trace.axis_columns(place)]
     samples = np.empty(len(rows), _sample_type(axes))
     for name in samples.dtype.names or ():
@@ -534,7 +532,7 @@ def haptic_samples(
 def pack_haptics(samples: NDArray[np.void]) -> bytes:
     """Return the octets of samples: (n,), dtype `SAMPLE`, or with more axes."""
     message = message_class(HAPTIC_SAMPLES)()
-    places = haptic_trace.places_of(samples.dtype.names or ())
+    places = haptic_trace.more_places(samples.dtype.names or ())
     own = [place for place in places if place not in _PLACES]
     fields = _own_fields(own)
     message.own_axes.extend(own)
@@ -546,13 +544,16 @@ def pack_haptics(samples: NDArray[np.void]) -> bytes:
 def unpack_haptics(octets: bytes) -> NDArray[np.void]:
     """Return the samples of these octets: (n,), dtype `SAMPLE`, or with more axes.
 
-    ProtocolError for octets of anything else.
+    A field that the recording's version did not have is NaN. ProtocolError for octets of anything
+    else.
     """
     message = parse_message(HAPTIC_SAMPLES, octets)
     fields = _own_fields(message.own_axes)
     more = [*(name for name in _AXIS_FIELDS if getattr(message, name)), *fields]
     names = (*(SAMPLE.names or ()), *more)
     columns = {name: getattr(message, fields.get(name, name)) for name in names}
+    later = [each.name for each in haptic_trace.FIELDS[FIRST_FIELDS:]]
+    columns |= {name: [nan] * len(message.time_ns) for name in later if not columns[name]}
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         raise ProtocolError(f"{HAPTIC_SAMPLES.full_name}: fields of {sorted(lengths)} values")

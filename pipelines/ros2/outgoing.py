@@ -22,6 +22,7 @@ from pipelines.ros2.publications import (
     CHAT_TOPIC,
     DIAGNOSTICS_TOPIC,
     JOY,
+    NUMBER,
     POSE,
     TWIST,
     Publication,
@@ -188,6 +189,9 @@ class OutgoingMessages:
                 yield Outbound(publication, made.pose(rows, source.name))
             elif publication.type == TWIST:
                 yield Outbound(publication, made.twist(rows, source.name))
+            elif publication.type == NUMBER:
+                field = publication.topic.rpartition("/")[2]
+                yield Outbound(publication, made.number(rows, field))
             elif publication.type != JOY:
                 yield Outbound(publication, made.wrench(rows, source.name))
             elif self._halves:

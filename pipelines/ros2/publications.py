@@ -24,7 +24,12 @@ from typing import Final, NamedTuple, Self
 from kontur_av.errors import ProtocolError
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
-from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC
+from pipelines.hand.haptic_trace import (
+    FIELDS,
+    FIRST_FIELDS,
+    JOYSTICK_TRACE_TOPIC,
+    ROBOT_TRACE_TOPIC,
+)
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
@@ -141,7 +146,7 @@ def _mangled(name: str) -> str:
 
 NAMESPACE: Final = "/kontur_av"
 IMAGE, VIDEO = "sensor_msgs/msg/CompressedImage", "foxglove_msgs/msg/CompressedVideo"
-JOY, TEXT = "sensor_msgs/msg/Joy", "std_msgs/msg/String"
+JOY, TEXT, NUMBER = "sensor_msgs/msg/Joy", "std_msgs/msg/String", "std_msgs/msg/Float32"
 POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
 WRENCH, DIAGNOSTICS = "geometry_msgs/msg/WrenchStamped", "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -219,4 +224,5 @@ def _sources(topology: Topology) -> Iterator[RosSource]:
 
 def _moved(end: str) -> tuple[Publication, ...]:
     kinds = {"pose": POSE, "twist": TWIST, "wrench": WRENCH}
+    kinds |= {each.name: NUMBER for each in FIELDS[FIRST_FIELDS:]}
     return tuple(Publication(f"{NAMESPACE}/{end}/{name}", kind) for name, kind in kinds.items())

@@ -15,9 +15,19 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ProtocolError
 from kontur_av.media import VideoCodec
-from pipelines.hand.haptic_trace import DEAD_MAN, places_of
+from pipelines.hand.haptic_trace import DEAD_MAN, axis_columns, places_of
 from pipelines.ros2.hand import DEAD_MAN_BUTTON, JoyMessage, Velocity
-from pipelines.ros2.publications import DIAGNOSTICS, IMAGE, JOY, POSE, TEXT, TWIST, VIDEO, WRENCH
+from pipelines.ros2.publications import (
+    DIAGNOSTICS,
+    IMAGE,
+    JOY,
+    NUMBER,
+    POSE,
+    TEXT,
+    TWIST,
+    VIDEO,
+    WRENCH,
+)
 
 #: Foxglove's schema of a coded picture, which no release of ROS 2 brings along.
 _VIDEO_FIELDS = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
@@ -94,7 +104,7 @@ class RosMessages:
     def wrench(self, rows: NDArray[np.void], name: str) -> bytes:
         """Return the force (N, N m) in the last of `rows`."""
         row = rows[-1]
-        forces = (_value(row, "fx_n"), _value(row, "fy_n"), _value(row, "z_n"))
+        forces = (_value(row, axis_columns(f"{axis}_m")[1]) for axis in _TURNED)
         wrench = self._made(
             "geometry_msgs/msg/Wrench",
             force=self._vector(forces),
@@ -102,15 +112,19 @@ class RosMessages:
         )
         return self._packed(WRENCH, header=self._header(name, int(row["time_ns"])), wrench=wrench)
 
+    def number(self, rows: NDArray[np.void], field: str) -> bytes:
+        """Return a field of the last of `rows`."""
+        return self._packed(NUMBER, data=float(rows[-1][field]))
+
     def joy(self, rows: NDArray[np.void], name: str, halves: Mapping[str, float]) -> bytes:
         """Return the handle in the last of `rows`, as `/joy` has it.
 
         halves: half of the range of each axis, m and rad.
         """
         row = rows[-1]
-        places = {"x": -_value(row, "x_m"), "y": _value(row, "y_m")}
-        for place in places_of(row.dtype.names or ()):
-            places[place.rpartition("_")[0]] = _value(row, place)
+        names = {place.rpartition("_")[0]: place for place in places_of(row.dtype.names or ())}
+        places = {axis: _value(row, place) for axis, place in names.items()}
+        places["x"] = -places["x"]
         axes = [places.get(axis, 0.0) / half for axis, half in halves.items()]
         buttons = [0] * DEAD_MAN_BUTTON + [int(bool(row["flags"] & DEAD_MAN))]
         return self._packed(

@@ -86,6 +86,16 @@ class MarkText(msgspec.Struct, frozen=True, kw_only=True):
     half_height_m: float
 
 
+class ChartText(msgspec.Struct, frozen=True, kw_only=True):
+    """A chart of haptics. column: of the rows; the others are a `haptic_trace.StripChart`."""
+
+    column: int
+    title: str
+    unit: str
+    factor: float
+    least: float
+
+
 class BoardText(msgspec.Struct, frozen=True, kw_only=True):
     """The robot's workspace, with its middle at (0, 0), and the task board in it, if there is one.
 
@@ -153,6 +163,7 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     inputs: tuple[InputText, ...]
     joystick: str
     workspace: WorkspaceText
+    charts: tuple[ChartText, ...]
     board: BoardText
     caps: dict[str, int]
     applications: tuple["ApplicationText", ...] = ()
@@ -421,10 +432,11 @@ class ApplicationText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TaskText(msgspec.Struct, frozen=True, kw_only=True):
-    """A task that can be selected. text: for the cosmonaut."""
+    """A task. text: for the cosmonaut. lacks: why it cannot be done here; "" if it can."""
 
     name: str
     text: str
+    lacks: str = ""
 
 
 class PassText(msgspec.Struct, frozen=True, kw_only=True):

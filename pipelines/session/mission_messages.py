@@ -55,7 +55,8 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     axes: of each behind x and y its name, place and force of its surroundings: m and N, or rad and
     N m. partner: of the partner's robot, "none", "absent", "ready" or "driven". partner_seen:
     while it is driven: the place (x, y) that the joystick wants (m), its force (N), whether it
-    touches something, and the age (ms) of its newest sample.
+    touches something, and the age (ms) of its newest sample. fields: of a cycle, by their
+    parameters.
     """
 
     boot_id: int
@@ -86,6 +87,7 @@ class RobotStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
     barred: str = ""
     blind: bool = False
     partner_seen: tuple[float, float, float, bool, int] | None = None
+    fields: dict[str, float] = {}
 
 
 class CameraRequest(msgspec.Struct, frozen=True, array_like=True):

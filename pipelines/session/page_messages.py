@@ -4,7 +4,7 @@
 |---|---|---|
 | 1 | access unit | stream 1, flags 1, 0 1, sequence 4, capture (µs) 8 |
 | 2 | sound | as an access unit; then int16 mono at 48 kHz |
-| 3 | haptics | end 1, rows 2, 0 4; then rows of 32 |
+| 3 | haptics | end 1, rows 2, 0 4; then rows: instant (µs) 8, 4 for each field and axis, flags 4 |
 | 4 | preview | preview 1, width 2, height 2, 0 2, capture (µs) 8; then I420 |
 | 5 | pong | 0 7, page's instant (ms) 8, the session's instant (µs) 8 |
 | 0x81 | ping | 0 7, page's instant (ms) 8 |
@@ -17,6 +17,7 @@ The last four come from pages. Their length is checked before anything else is r
 
 import struct
 from collections.abc import Mapping
+from functools import cache
 from math import isfinite
 from typing import NamedTuple
 
@@ -48,20 +49,6 @@ _HAND = struct.Struct("<BBHIffd")
 _OWN_PICTURE = struct.Struct("<BBHHxxd")
 _OWN_SOUND = struct.Struct("<BBHId")
 _DEAD_MAN = 1
-
-#: A row as a page gets it: with its instant in µs, because JavaScript has no 64-bit integers.
-_ROW = np.dtype(
-    [
-        ("time_us", "<f8"),
-        ("x_m", "<f4"),
-        ("y_m", "<f4"),
-        ("fx_n", "<f4"),
-        ("fy_n", "<f4"),
-        ("energy_uj", "<f4"),
-        ("flags", "<u4"),
-    ]
-)
-_PLAIN = _ROW.names[1:] if _ROW.names else ()
 
 #: The longest message on the socket of a seat.
 MOST_SEAT_OCTETS = 4096
@@ -108,11 +95,23 @@ def pack_haptic(end: int, rows: NDArray[np.void]) -> bytes:
 
     end: 0 for the joystick, 1 for the robot.
     """
-    out = np.empty(len(rows), _ROW)
+    columns = haptic_columns(rows.dtype)
+    out = np.empty(len(rows), _page_row(columns))
+    # JavaScript has no 64-bit integers.
     out["time_us"] = rows["time_ns"] / NS_PER_US
-    for name in _PLAIN:
+    for name in (*columns, "flags"):
         out[name] = rows[name]
     return _HAPTIC.pack(HAPTIC, end, len(rows), 0) + out.tobytes()
+
+
+def haptic_columns(kind: "np.dtype[np.void]") -> tuple[str, ...]:
+    """Return the fields of such rows that a message has as numbers, in its order."""
+    return tuple(name for name in kind.names or () if kind[name] == np.float32)
+
+
+@cache
+def _page_row(columns: tuple[str, ...]) -> "np.dtype[np.void]":
+    return np.dtype([("time_us", "<f8"), *((name, "<f4") for name in columns), ("flags", "<u4")])
 
 
 def pack_preview(preview: int, capture_us: int, picture: I420) -> bytes:

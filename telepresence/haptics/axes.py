@@ -95,6 +95,11 @@ class AxisName(str):
                 raise ConfigError(f"axis.{name}.{field.name} is {value:g}: take more than 0")
         return self
 
+    @property
+    def place(self) -> str:
+        """The field of its place in rows and tables, with its unit: `z_m`, `pan_rad`."""
+        return f"{self}_{'m' if self.kind == 'linear' else 'rad'}"
+
 
 def more_axes(axes: Sequence[str], settings: Mapping[str, AxisSettings]) -> tuple[AxisName, ...]:
     """Return the axes behind x and y of a setup, in its order. ConfigError."""

@@ -4,7 +4,7 @@ import { test } from "node:test";
 import { load } from "./modules.mjs";
 
 const { ColumnStore } = await load("column_store.js");
-const { HapticTrace, Value } = await load("haptic_trace.js");
+const { HapticTrace } = await load("haptic_trace.js");
 const { LAYERS, OctetHistory } = await load("octet_history.js");
 const { CONNECTED, NO_SIGNAL, SignalHistory, UNKNOWN } = await load("signal_history.js");
 
@@ -42,12 +42,11 @@ test("a trace keeps the newest rows", () => {
   const trace = new HapticTrace(3);
   const column = (start) => Float32Array.from([start, start + 1]);
   for (const start of [0, 2, 4]) {
-    const [xM, yM, forceXN, forceYN] = [0, 10, 20, 30].map((offset) => column(start + offset));
-    const timeUs = Float64Array.from([start, start + 1]);
-    trace.append({ end: "robot", rows: 2, timeUs, xM, yM, forceXN, forceYN, energyUj: column(0), flags: new Uint32Array(2) });
+    const columns = [0, 10, 20, 30].map((offset) => column(start + offset));
+    trace.append({ end: "robot", rows: 2, timeUs: Float64Array.from([start, start + 1]), columns });
   }
   assert.equal(trace.oldest, 3);
-  const kept = [3, 4, 5].map((row) => trace.values[Value.FORCE_Y_N][row % 3]);
+  const kept = [3, 4, 5].map((row) => trace.values[3][row % 3]);
   assert.deepEqual(kept, [33, 34, 35]);
   assert.equal(trace.timesUs[trace.newest], 5);
 });

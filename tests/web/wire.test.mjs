@@ -22,9 +22,10 @@ test("a block of sound", () => {
   assert.deepEqual([...sound.samples], [1, -1]);
 });
 
-test("rows of haptics", () => {
-  const row = "000000000000f03f 0000003f 000000bf 00000040 000040c0 00008040 01030200";
-  const haptics = wire.readHaptics(octets(`03 01 0100 00000000 ${row}`));
+test("rows of haptics, with the place of one more axis", () => {
+  const row = "000000000000f03f 0000003f 000000bf 00000040 000040c0 00008040 0000c03f 01030200";
+  const haptics = wire.readHaptics(octets(`03 01 0200 00000000 ${row} ${row}`));
+  assert.deepEqual([...haptics.columns[5]], [1.5, 1.5]);
   assert.equal(haptics.end, "robot");
   assert.equal(haptics.timeUs[0], 1);
   const columns = [haptics.xM, haptics.yM, haptics.forceXN, haptics.forceYN, haptics.energyUj];

@@ -19,7 +19,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import I420, empty_picture
-from pipelines.hand.haptic_trace import axis_columns, places_of
+from pipelines.hand.haptic_trace import FIELDS, FIRST_FIELDS, axis_columns, places_of
 from pipelines.recording.channels import RECEIVED, SENT
 from pipelines.recording.export.columns import Columns
 from pipelines.recording.export.films import FilmUnit, FilmUnits
@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 _METADATA, _CAMERA = "/facts", "/camera/"
 _STREAM = ("/uplink_video/" + SENT, "/uplink_video/" + RECEIVED)
 STATE, FORCE, ACTION = "observation.state", "observation.force", "action"
+#: Fields of a cycle beside place, force and credit, of the robot.
+MORE = "observation.more"
 #: A camera that has no picture for longer, while the stream carries it, is left out.
 _LONGEST_GAP_NS = 2 * NS_PER_S
 #: LeRobot keeps times as float32. So a longer run becomes several episodes.
@@ -216,21 +218,13 @@ class _Hand:
         if not len(order):
             raise ConfigError("the robot acted on no sample of the joystick in this recording")
         self._acted_s = acted_s[order]
-        places: list[str] = [name for name in ("x_m", "y_m") if name in robot]
-        forces: list[str] = [name for name in ("fx_n", "fy_n") if name in robot]
-        for place in places_of(robot):
-            places.append(place)
-            forces.append(axis_columns(place)[1])
-        self.names: dict[str, list[str]] = {
-            STATE: list(dict.fromkeys(places)),
-            FORCE: list(dict.fromkeys(forces)),
-        }
-        self.names[ACTION] = self.names[STATE]
-        self._values = {
-            STATE: _matrix(robot, self.names[STATE]),
-            FORCE: _matrix(robot, self.names[FORCE]),
-            ACTION: _matrix(joystick, self.names[ACTION])[order],
-        }
+        places = places_of(robot)
+        self.names = {STATE: places, FORCE: [axis_columns(place)[1] for place in places]}
+        if later := [each.name for each in FIELDS[FIRST_FIELDS:]]:
+            self.names[MORE] = later
+        self._values = {key: _matrix(robot, names) for key, names in self.names.items()}
+        self.names[ACTION] = places
+        self._values[ACTION] = _matrix(joystick, places)[order]
         acted_ns = origin_ns + round(self._acted_s[0] * NS_PER_S)
         self.begin_ns = max(int(self._cycles_ns[0]), acted_ns)
         self.end_ns = int(self._cycles_ns[-1])

@@ -4,10 +4,11 @@
  *
  * @import { Connection } from "./connection.js"
  * @import { Seat } from "./seat.js"
+ * @import { ChartText } from "./texts.js"
  */
 import { make } from "./dom.js";
 import { drawOften } from "./drawing_loop.js";
-import { HapticTrace, Value } from "./haptic_trace.js";
+import { HapticTrace } from "./haptic_trace.js";
 import { StripChart } from "./strip_chart.js";
 
 const SPANS_S = [2, 10, 60];
@@ -17,15 +18,6 @@ const SPAN_S = 10;
 const SIGNALS = [
   { end: "joystick", colour: "--end-joystick", thick: true },
   { end: "robot", colour: "--end-robot", thick: false },
-];
-/** @typedef {{value: number, title: string, unit: string, factor: number, least: number}} Strip */
-
-/** @type {readonly Strip[]} */
-const STRIPS = [
-  { value: Value.FORCE_X_N, title: "force x", unit: "N", factor: 1, least: 1 },
-  { value: Value.FORCE_Y_N, title: "force y", unit: "N", factor: 1, least: 1 },
-  { value: Value.X_M, title: "position x", unit: "mm", factor: 1000, least: 20 },
-  { value: Value.Y_M, title: "position y", unit: "mm", factor: 1000, least: 20 },
 ];
 
 /** Rows that are kept of each end: the longest span. */
@@ -37,13 +29,17 @@ class HapticCharts extends HTMLElement {
   #keys = SIGNALS.map(({ end }) => make("span", { class: "key", "data-end": end, hidden: true }, end));
   /** Rows of each trace that the charts have already. */
   #shown = [0, 0];
+  /** As the server tells them. @type {readonly ChartText[]} */
+  #charts = [];
   /** @type {StripChart[]} */
   #strips = [];
+  #span = SPAN_S;
   #left = make("span");
 
   /** @param {Seat} seat */
   follow({ connection }) {
     this.#build();
+    connection.on("hello", ({ charts }) => this.#show(charts));
     connection.on("haptic", (haptics) => {
       const signal = SIGNALS.findIndex(({ end }) => end === haptics.end);
       this.#traces[signal].append(haptics);
@@ -58,7 +54,7 @@ class HapticCharts extends HTMLElement {
     if (nowUs === null) return;
     this.#traces.forEach((trace, end) => {
       for (let row = Math.max(this.#shown[end], trace.oldest); row < trace.appended; row += 1) {
-        STRIPS.forEach((strip, index) => put(this.#strips[index], strip, trace, end, row));
+        this.#charts.forEach((chart, index) => put(this.#strips[index], chart, trace, end, row));
       }
       this.#shown[end] = trace.appended;
     });
@@ -73,32 +69,42 @@ class HapticCharts extends HTMLElement {
       spans.append(make("label", {}, radio, make("span", {}, `${span} s`)));
     }
     const legend = make("p", { class: "legend" }, ...this.#keys);
-    this.#strips = STRIPS.map(
-      (strip) => new StripChart({ ...strip, signals: SIGNALS }, (chart) => this.#refill(chart, strip)),
-    );
     const axis = make("p", { class: "time-axis" }, this.#left, make("span", {}, "now"));
-    this.append(make("div", { class: "chart-head" }, legend, spans), ...this.#strips, axis);
+    this.append(make("div", { class: "chart-head" }, legend, spans), axis);
     this.#choose(SPAN_S);
+  }
+
+  /** @param {readonly ChartText[]} charts */
+  #show(charts) {
+    if (JSON.stringify(charts) === JSON.stringify(this.#charts)) return;
+    for (const strip of this.#strips) strip.remove();
+    this.#charts = charts;
+    this.#strips = charts.map(
+      (chart) => new StripChart({ ...chart, signals: SIGNALS }, (strip) => this.#refill(strip, chart)),
+    );
+    this.lastElementChild?.before(...this.#strips);
+    this.#choose(this.#span);
   }
 
   /** @param {number} seconds */
   #choose(seconds) {
+    this.#span = seconds;
     this.#left.textContent = `${seconds} s ago`;
     for (const strip of this.#strips) strip.spanUs = seconds * 1e6;
   }
 
-  /** Hands a chart the samples that it lost. @param {StripChart} chart @param {Strip} strip */
-  #refill(chart, strip) {
+  /** Hands a strip the samples that it lost. @param {StripChart} strip @param {ChartText} chart */
+  #refill(strip, chart) {
     this.#traces.forEach((trace, end) => {
-      for (let row = trace.oldest; row < this.#shown[end]; row += 1) put(chart, strip, trace, end, row);
+      for (let row = trace.oldest; row < this.#shown[end]; row += 1) put(strip, chart, trace, end, row);
     });
   }
 }
 
-/** @param {StripChart} chart @param {Strip} strip @param {HapticTrace} trace @param {number} end @param {number} row */
-function put(chart, strip, trace, end, row) {
+/** @param {StripChart} strip @param {ChartText} chart @param {HapticTrace} trace @param {number} end @param {number} row */
+function put(strip, chart, trace, end, row) {
   const place = row % trace.capacity;
-  chart.add(end, trace.timesUs[place], trace.values[strip.value][place] * strip.factor);
+  strip.add(end, trace.timesUs[place], trace.values[chart.column][place] * chart.factor);
 }
 
 customElements.define("haptic-charts", HapticCharts);

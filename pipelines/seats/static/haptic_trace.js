@@ -4,9 +4,6 @@
  * @import { Haptics } from "./wire.js"
  */
 
-/** What can be drawn of a row: places in `HapticTrace.values`. */
-export const Value = Object.freeze({ X_M: 0, Y_M: 1, FORCE_X_N: 2, FORCE_Y_N: 3 });
-
 export class HapticTrace {
   /** @param {number} capacity Rows that are kept. */
   constructor(capacity) {
@@ -15,8 +12,8 @@ export class HapticTrace {
     this.appended = 0;
     /** Instants on the session's clock, µs. */
     this.timesUs = new Float64Array(capacity);
-    this.values = Object.values(Value).map(() => new Float32Array(capacity));
-    this.flags = new Uint32Array(capacity);
+    /** By column of `Haptics`; they come with the first rows. @type {Float32Array[]} */
+    this.values = [];
   }
 
   /** The number of the oldest row that is still kept. */
@@ -31,14 +28,16 @@ export class HapticTrace {
 
   /** @param {Haptics} haptics */
   append(haptics) {
-    const columns = [haptics.xM, haptics.yM, haptics.forceXN, haptics.forceYN];
+    const { columns } = haptics;
+    for (let more = this.values.length; more < columns.length; more += 1) {
+      this.values.push(new Float32Array(this.capacity));
+    }
     for (let row = 0; row < haptics.rows; row += 1) {
       const place = this.appended % this.capacity;
       this.timesUs[place] = haptics.timeUs[row];
       columns.forEach((column, value) => {
         /** @type {Float32Array} */ (this.values[value])[place] = column[row];
       });
-      this.flags[place] = haptics.flags[row];
       this.appended += 1;
     }
   }

@@ -40,6 +40,12 @@
  */
 
 /**
+ * A chart of haptics. column: of the rows; the others are a `haptic_trace.StripChart`.
+ * @typedef {{column: number, title: string, unit: string, factor: number, least: number}}
+ *   ChartText
+ */
+
+/**
  * What stands in the robot's workspace: a place, or an obstacle with its half sizes.
  * @typedef {{name: string, x_m: number, y_m: number, half_width_m: number, half_height_m: number}}
  *   MarkText
@@ -84,8 +90,8 @@
  */
 
 /**
- * A task that can be selected. text: for the cosmonaut.
- * @typedef {{name: string, text: string}} TaskText
+ * A task. text: for the cosmonaut. lacks: why it cannot be done here; "" if it can.
+ * @typedef {{name: string, text: string, lacks: string}} TaskText
  */
 
 /**
@@ -109,11 +115,11 @@
  * The first text of a connection. page: its number. name: who sits there.
  * @typedef {{kind: "hello", seat: "ground" | "space", setup: string, session: string, streams:
  *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
- *   string, workspace: WorkspaceText, board: BoardText, caps: Record<string, number>,
- *   applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list: TaskText[],
- *   views: Record<string, number[]>, exercises: ExerciseText[], pad: PadText | null, role:
- *   "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "trainer" | "viewer",
- *   page: number, name: string, now_us: number}} HelloText
+ *   string, workspace: WorkspaceText, charts: ChartText[], board: BoardText, caps: Record<string,
+ *   number>, applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list:
+ *   TaskText[], views: Record<string, number[]>, exercises: ExerciseText[], pad: PadText | null,
+ *   role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "trainer" |
+ *   "viewer", page: number, name: string, now_us: number}} HelloText
  */
 
 /**
@@ -292,7 +298,8 @@
  * the robot says them. axes: of each behind x and y its name, place and force of its surroundings:
  * m and N, or rad and N m. partner: of the partner's robot, "none", "absent", "ready" or "driven".
  * partner_seen: while it is driven: the place (x, y) that the joystick wants (m), its force (N),
- * whether it touches something, and the age (ms) of its newest sample.
+ * whether it touches something, and the age (ms) of its newest sample. fields: of a cycle, by
+ * their parameters.
  * @typedef {{kind: "robot", boot_id: number, powered: boolean, mode: "position" | "torque" |
  *   "telepresence" | "impedance", x_m: number, y_m: number, push_n: number, goal_m: [number,
  *   number] | null, fault: string, faults: number, refused: number, handled: number, halted:
@@ -300,7 +307,7 @@
  *   hold: string, waiting: boolean, stopped: boolean, offset_mm: [number, number], holds: boolean,
  *   joints: [number, number][], partner: string, stopped_by: string, axes: [string, number,
  *   number][], barred: string, blind: boolean, partner_seen: [number, number, number, boolean,
- *   number] | null}} RobotText
+ *   number] | null, fields: Record<string, number>}} RobotText
  */
 
 /**

@@ -19,7 +19,8 @@ export const Kind = Object.freeze({
 
 const HEADER_OCTETS = 16;
 const HAPTIC_HEADER_OCTETS = 8;
-const HAPTIC_ROW_OCTETS = 32;
+/** Of a row beside its columns: instant and flags. */
+const HAPTIC_ROW_OCTETS = 12;
 const HAND_OCTETS = 24;
 /** Samples in a block of the page's own sound: 20 ms at 48 kHz. */
 export const BLOCK_SAMPLES = 960;
@@ -48,6 +49,7 @@ export const BLOCK_SAMPLES = 960;
 
 /**
  * Cycles of one end of haptics, a column for each quantity.
+ *
  * @typedef {object} Haptics
  * @property {"joystick" | "robot"} end
  * @property {number} rows
@@ -57,6 +59,7 @@ export const BLOCK_SAMPLES = 960;
  * @property {Float32Array} forceXN
  * @property {Float32Array} forceYN
  * @property {Float32Array} energyUj
+ * @property {Float32Array[]} columns All of these, and behind them those of more fields and axes.
  * @property {Uint32Array} flags See `HapticFlag`, `stateNumber` and `litLed`.
  */
 
@@ -121,28 +124,24 @@ export function readSound(message) {
 export function readHaptics(message) {
   const view = new DataView(message);
   const rows = view.getUint16(2, true);
-  /** @type {Haptics} */
-  const haptics = {
-    end: view.getUint8(1) === 0 ? "joystick" : "robot",
-    rows,
-    timeUs: new Float64Array(rows),
-    xM: new Float32Array(rows),
-    yM: new Float32Array(rows),
-    forceXN: new Float32Array(rows),
-    forceYN: new Float32Array(rows),
-    energyUj: new Float32Array(rows),
-    flags: new Uint32Array(rows),
-  };
-  const columns = [haptics.xM, haptics.yM, haptics.forceXN, haptics.forceYN, haptics.energyUj];
+  const octets = rows === 0 ? 0 : (message.byteLength - HAPTIC_HEADER_OCTETS) / rows;
+  const count = Math.max(5, (octets - HAPTIC_ROW_OCTETS) / 4);
+  const columns = Array.from({ length: count }, () => new Float32Array(rows));
+  const timeUs = new Float64Array(rows);
+  const flags = new Uint32Array(rows);
   for (let row = 0; row < rows; row += 1) {
-    const at = HAPTIC_HEADER_OCTETS + row * HAPTIC_ROW_OCTETS;
-    haptics.timeUs[row] = view.getFloat64(at, true);
+    const at = HAPTIC_HEADER_OCTETS + row * octets;
+    timeUs[row] = view.getFloat64(at, true);
     columns.forEach((column, index) => {
       column[row] = view.getFloat32(at + 8 + 4 * index, true);
     });
-    haptics.flags[row] = view.getUint32(at + 28, true);
+    flags[row] = view.getUint32(at + octets - 4, true);
   }
-  return haptics;
+  const [xM, yM, forceXN, forceYN, energyUj] = /** @type {[Float32Array, Float32Array, Float32Array, Float32Array, Float32Array]} */ (
+    columns
+  );
+  const end = view.getUint8(1) === 0 ? "joystick" : "robot";
+  return { end, rows, timeUs, xM, yM, forceXN, forceYN, energyUj, columns, flags };
 }
 
 /** @param {ArrayBuffer} message @returns {Preview} */

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Literal, cast
+from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.returned import fault_of
@@ -15,7 +15,7 @@ from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.haptic_metrics import JoystickMetrics, LoggedTransition
-from telepresence.haptics.sample import MODE_OFF, Feedback
+from telepresence.haptics.sample import Drive, Feedback
 
 #: Only in these states is a reading a calibrated position.
 _PLACED = (JoystickState.CALIBRATED, JoystickState.APPLICATION, JoystickState.HALTED)
@@ -23,10 +23,6 @@ _PLACED = (JoystickState.CALIBRATED, JoystickState.APPLICATION, JoystickState.HA
 _HEARD_NS = 20 * NS_PER_MS
 #: What a robot told that has been silent for longer may be so no more.
 _TRUSTED_NS = 500 * NS_PER_MS
-
-
-#: What drives a robot: the hand, nothing, a mode of its own; "" if nothing is heard of it.
-Drive = Literal["hand", "off", "own", ""]
 
 
 class OperatedHandle:
@@ -100,7 +96,7 @@ class OperatedHandle:
             self.operation.handle_heard(now_ns)
         lit, self.robot_waits, self.robot_stopped = feedback[5], feedback[8], feedback[9]
         self.frozen = feedback[10]
-        self.drive = "hand" if not feedback[7] else "off" if feedback[4] == MODE_OFF else "own"
+        self.drive = feedback.drive
         self._leds = 0 if lit is None else 1 << lit
 
     def handle_command(self, event: JoystickEvent, *by: str) -> str:

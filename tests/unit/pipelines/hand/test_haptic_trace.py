@@ -10,12 +10,15 @@ from pipelines.session.probe import Probe
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.envelope import SafetyEnvelope
 
+#: Of the fields that the first version did not have.
+LATER = (0.5,) * (len(haptic_trace.FIELDS) - haptic_trace.FIRST_FIELDS)
+
 
 def test_rows_are_read_back_as_they_were_with_axes_by_name():
     trace = haptic_trace.HapticTrace()
     trace.handle_watched(True)
     rows = [
-        (k * NS_PER_MS + 2**40, 0.001 * k, -0.5, 1.5, float("nan"), 1e5, k)
+        (k * NS_PER_MS + 2**40, 0.001 * k, -0.5, 1.5, float("nan"), 1e5, *LATER, k)
         for k in range(haptic_trace.BLOCK_ROWS + 1)
     ]
     # In every second cycle a sample is sent, in every third one or two are received.
@@ -28,7 +31,7 @@ def test_rows_are_read_back_as_they_were_with_axes_by_name():
     assert trace.poll_block() is None
     assert block is not None and len(block) == haptic_trace.BLOCK_ROWS * haptic_trace.ROW.itemsize
     found = haptic_trace.rows_of(block)
-    assert found.dtype == haptic_trace.ROW and haptic_trace.ROW.itemsize == 40
+    assert found.dtype == haptic_trace.ROW and haptic_trace.ROW.itemsize == 40 + 4 * len(LATER)
     sent = [(65_530 + k // 2) % 65_536 if k % 2 else -1 for k in range(haptic_trace.BLOCK_ROWS)]
     received = [2 * (k // 3) if k and k % 3 == 0 else -1 for k in range(haptic_trace.BLOCK_ROWS)]
     told = [(*row, one, other) for row, one, other in zip(rows[:-1], sent, received, strict=True)]
@@ -36,7 +39,7 @@ def test_rows_are_read_back_as_they_were_with_axes_by_name():
     trace = haptic_trace.HapticTrace(("z_m", "pan_rad"))
     trace.handle_watched(True)
     for k in range(haptic_trace.BLOCK_ROWS + 1):
-        trace.add((k, 0.1, 0.2, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0.25, 0.5, 0.75, *[k] * 3))
+        trace.add((k, 0.1, 0.2, 0.0, 0.0, 0.0, *LATER, 0, 0, 0, 0, 0.25, 0.5, 0.75, *[k] * 3))
     found = haptic_trace.rows_of(trace.poll_block())
     assert [found[name][3] for name in ("z_m", "z_n", "z_uj", "pan_rad")] == [0.25, 0.5, 0.75, 3]
 

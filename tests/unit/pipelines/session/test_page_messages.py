@@ -7,7 +7,7 @@ import pytest
 
 from kontur_av.errors import ProtocolError
 from kontur_av.media import empty_picture
-from pipelines.hand.haptic_trace import ROW
+from pipelines.hand.haptic_trace import FIELDS, ROW
 from pipelines.session import page_messages as messages
 from telepresence.haptics.device.page import PageInput
 
@@ -39,8 +39,9 @@ def test_what_pages_are_sent():
     assert (
         messages.pack_preview(3, 4, nines) == struct.pack("<BBHHxxq", 4, 3, 16, 16, 4) + b"\t" * 384
     )
-    rows = np.array([(1_500, 1, 2, 3, 4, 5, 0x30201, -1, -1)] * 2, ROW)
-    row = struct.pack("<d5fI", 1.5, 1, 2, 3, 4, 5, 0x30201)  # its instant in microseconds
+    values = range(1, len(FIELDS) + 1)
+    rows = np.array([(1_500, *values, 0x30201, -1, -1)] * 2, ROW)
+    row = struct.pack(f"<d{len(FIELDS)}fI", 1.5, *values, 0x30201)  # its instant in microseconds
     assert messages.pack_haptic(1, rows) == struct.pack("<BBHI", 3, 1, 2, 0) + 2 * row
 
 
