@@ -112,7 +112,8 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     by the figures' names; None where nothing could be.
     experiment: of the present or the next application. partner: whether a partner's robot is
     there; None: the session has none.
-    handed: number of the newest telecommand that hands over, and to whom, "policy" or "person".
+    handed: number of the newest command that hands over, and to whom, "policy" or "person".
+    person: a person presses the dead-man button, where a policy could, too.
     """
 
     state: int
@@ -147,6 +148,7 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     held: bool = False
     request: str = ""
     handed: tuple[int, str] = (0, "")
+    person: bool = False
 
 
 JOYSTICK_STATE_TOPIC = Topic[JoystickStatus](
