@@ -161,7 +161,7 @@ AUTHORITIES = tuple(authority.value for authority in Authority)
 
 
 class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """Who drives; "": nobody. waiting: for a released dead-man button."""
+    """Who drives; "": nobody. waiting: for a new press of the dead-man button."""
 
     authority: str = ""
     wanted: str = ""
@@ -191,7 +191,7 @@ class AuthorityRequest(msgspec.Struct, frozen=True):
 
 
 class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """Who drives; "": nobody. waiting: for a released dead-man button."""
+    """Who drives; "": nobody. waiting: for a new press of the dead-man button."""
 
     authority: str
     wanted: str
