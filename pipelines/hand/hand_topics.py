@@ -163,7 +163,7 @@ AUTHORITIES = tuple(authority.value for authority in Authority)
 
 
 class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """Who drives; "": nobody. waiting: for a released dead-man button."""
+    """Who drives; "": nobody. waiting: for a new press of the dead-man button."""
 
     authority: str = ""
     wanted: str = ""
@@ -193,7 +193,7 @@ class AuthorityRequest(msgspec.Struct, frozen=True):
 
 
 class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """Who drives; "": nobody. waiting: for a released dead-man button."""
+    """Who drives; "": nobody. waiting: for a new press of the dead-man button."""
 
     authority: str
     wanted: str
