@@ -9,7 +9,8 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.returned import fault_of
 from telepresence.haptics.axes import MoreAxes, MoreAxis, set_up_axes
 from telepresence.haptics.device.device import JoystickDevice
-from telepresence.haptics.device.operation import JoystickOperation
+from telepresence.haptics.device.guest import HandleGuest
+from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits, NoiseMeter
@@ -34,6 +35,7 @@ class OperatedHandle:
     robot_waits, robot_stopped, drive: what the robot's newest sample says. frozen: it says that a
     part of the operator's picture is.
     command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
+    guest: a policy at the handle, which the caller sets; None: there can be none.
     presses_n: how hard the robot presses; the caller sets it.
     more: the axes behind x and y; their middle is where the device reads 0. axes: their names, with
     what the setup says of them. plane: which of x and y there are; the others stay at 0.
@@ -57,6 +59,7 @@ class OperatedHandle:
         self.force_limit_n = 0.0
         self.dead_man = self.stop = self.blind = self.stop_asked = False
         self._hands_over = False
+        self.guest: HandleGuest | None = None
         self.buttons = self.pressed = 0
         self.robot_waits = self.robot_stopped = False
         self.drive: Drive = ""
@@ -166,3 +169,22 @@ class OperatedHandle:
         # The button that a test asks for does not count for the robot or the panel.
         self.buttons, self.dead_man = reading[4], reading[5] and not operation.testing
         self.force_limit_n = operation.force_limit_n
+        if self.guest is not None:
+            self._let_guest(self.guest, dt_ns)
+
+    @property
+    def pressed_by_person(self) -> bool:
+        """Whether a person presses the dead-man button, where a policy could, too."""
+        operation = self.operation
+        return self.guest is not None and operation.held and not operation.testing
+
+    def _let_guest(self, guest: HandleGuest, dt_ns: int) -> None:
+        """Put a policy in the place of the person, if it drives."""
+        application = self.operation.machine.state is JoystickState.APPLICATION
+        guest.step(dt_ns, person=self.pressed_by_person, allowed=application)
+        if guest.drives or guest.holds:
+            self.dead_man = guest.drives
+            self.force_limit_n = UNFELT_FORCE_LIMIT_N * guest.force_share
+        if guest.drives:
+            in_x, in_y = self._plane or (True, True)
+            self.x_m, self.y_m = guest.x_m * in_x, guest.y_m * in_y
