@@ -217,9 +217,12 @@ class RobotController(PortController):
                 to_y += (self._slow_y - to_y) * poor
             share = 1.0 / (model.follow_s + dt_s)
             vx, vy = (to_x - reference_x) * share, (to_y - reference_y) * share
-            vx, vy = self._shown(
-                command[6] and touching, vx, vy, reference_x - x_m, reference_y - y_m, dt_s
-            )
+            if touching:
+                press_x, press_y = reference_x - x_m, reference_y - y_m
+                vx, vy = self._shown(command[6], vx, vy, press_x, press_y, dt_s)
+            else:
+                # A free tip catches up as before.
+                self._unfelt = 0.0
         size, speed = vx * vx + vy * vy, self.speed_m_s
         if size > speed * speed:
             share = speed / sqrt(size)
