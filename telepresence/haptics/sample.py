@@ -10,7 +10,7 @@ A greeting or an echo goes in the place of a sample. `session.py` and `echo.py` 
 """
 
 import struct
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from kontur_av.errors import ProtocolError
 
@@ -132,6 +132,14 @@ class Feedback(NamedTuple):
     stopped: bool = False
     blind: bool = False
     more: tuple[tuple[float, int, bool], ...] = ()
+
+
+_Sample = TypeVar("_Sample", Command, Feedback)
+
+
+def along(sample: _Sample, value: float, energy_uj: int, acted: bool) -> _Sample:
+    """Return `sample` as a controller of one more axis takes it: with these along x, 0 along y."""
+    return _tuple(type(sample), (value, 0.0, energy_uj, *sample[3:6], acted, *sample[7:]))
 
 
 class Greeting(NamedTuple):
