@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.hand.haptic_trace import FIELDS, FIRST_FIELDS, HapticTrace, field_values, flags_of
+from pipelines.hand.haptic_trace import LATER_FIELDS, HapticTrace, field_values, flags_of
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
@@ -247,7 +247,7 @@ class RobotEnd(_End[RobotSide]):
             flags = flags_of(
                 contact=seen.contact, dead_man=seen.dead_man, acted=False, state=0, lit=None
             )
-            more = (side.unknown,) * (len(FIELDS) - FIRST_FIELDS)
+            more = (side.unknown,) * len(LATER_FIELDS)
             self._trace_cycle(now_ns, (*seen[:4], 0.0, *more), flags)
             return
         command = self._latest(now_ns)
