@@ -191,7 +191,7 @@ class JoystickSide(_Side):
             state >= STATE_HALTED,
             handle.stop,
             handle.blind,
-            self.axes.values(),
+            self.axes.values() if handle.more else (),
         )
         self.link.handle_local(_tuple(Command, command), now_ns)
 
@@ -207,7 +207,8 @@ class JoystickSide(_Side):
         controller.limit_n = limit_n = handle.force_limit_n if self.felt else 0.0
         # The handle covered its last distance in the previous step's time, not in this step's.
         fx, fy = controller.step(feedback, handle.x_m, handle.y_m, self._last_ns)
-        self.axes.step(feedback, limit_n, self._last_ns)
+        if handle.more:
+            self.axes.step(feedback, limit_n, self._last_ns)
         self._last_ns = dt_ns
         self.force_x_n, self.force_y_n = fx, fy
         handle.step(fx, fy, dt_ns)
@@ -294,7 +295,7 @@ class RobotSide(_Side):
         if envelope is not None:
             envelope.command_age_ns = self.link.command_age_ns(now_ns)
         acted = self._advance(now_ns, advance_ns)
-        contact = robot.contact or any(axis.contact for axis in robot.more)
+        contact = robot.contact or (bool(robot.more) and any(axis.contact for axis in robot.more))
         if self.ownership is not None:
             speed_m_s = hypot(robot.vx_m_s, robot.vy_m_s, *(one.speed_m_s for one in robot.more))
             if self.ownership.handle_robot(speed_m_s, now_ns):
@@ -328,7 +329,7 @@ class RobotSide(_Side):
             envelope is not None and envelope.waiting,
             envelope is not None and envelope.stopped,
             envelope is not None and envelope.blind,
-            self.axes.values(),
+            self.axes.values() if robot.more else (),
         )
         self.link.handle_local(_tuple(Feedback, feedback), now_ns)
 
