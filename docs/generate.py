@@ -16,7 +16,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -338,9 +338,8 @@ def _markdown(table: tables.Table) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
-def _channels_table(whole: Topology, *others: Topology) -> tables.Table:
-    """The channels of `whole` with their ports, and which of the setups has which."""
-    sessions = (whole, *others)
+def _channels_table(whole: Topology) -> tables.Table:
+    """The channels of `whole` with their ports."""
     rows = [
         (
             f"`{row.name}`",
@@ -348,53 +347,46 @@ def _channels_table(whole: Topology, *others: Topology) -> tables.Table:
             str(row.entry_port),
             str(row.exit_port),
             tables.travels(row, whole),
-            *("●" if row.name in {each.name for each in one.streams} else "" for one in sessions),
         )
         for row in whole.streams
     ]
     up, down = (whole.link(direction) for direction in Direction)
     frames = f"transfer frames: ground has {down.port}, space {up.port}"
-    ends = "gateway ↔ gateway"
-    rows.append(("radio", ends, str(down.port), str(up.port), frames, *("●" for _ in sessions)))
-    names = tuple(one.setup.name for one in sessions)
+    rows.append(("radio", "gateway ↔ gateway", str(down.port), str(up.port), frames))
     return tables.Table(
-        headings=("channel", "from → to", "send to", "comes out at", "what travels", *names),
-        rows=rows,
+        headings=("channel", "from → to", "send to", "comes out at", "what travels"), rows=rows
     )
 
 
-def _in_code(table: tables.Table, *headings: str) -> tables.Table:
-    """The table with the cells of these columns as code, for Markdown."""
-    columns = [table.headings.index(heading) for heading in headings]
-    rows = [
-        [
-            ", ".join(f"`{name}`" for name in cell.split(", ")) if number in columns else cell
-            for number, cell in enumerate(row)
-        ]
-        for row in table.rows
-    ]
-    return tables.Table(headings=table.headings, rows=[_dashed(row) for row in rows])
-
-
-def _dashed(row: Sequence[str]) -> list[str]:
-    return ["–" if cell == "`–`" else cell for cell in row]
+def _processes(session: Topology) -> str:
+    """The processes of each segment, those that do the same together."""
+    table = tables.processes_table(session)
+    for heading in ("priority", "stage", "reads", "writes"):
+        table = table.without(heading)
+    lines: dict[str, list[str]] = {}
+    for names, segment, what in joined(table).rows:
+        named = ", ".join(f"`{name}`" for name in names.split(", "))
+        lines.setdefault(segment, []).append(f"- {named}: {what}")
+    heads = {"–": "At both", "ground": "On the ground", "space": "In space"}
+    parts = [f"{heads[segment]}:\n\n" + "\n".join(rows) for segment, rows in lines.items()]
+    return "\n\n".join(parts) + "\n"
 
 
 def topology_blocks() -> dict[str, str]:
     """By name: what stands between `<!-- generated: NAME -->` and `<!-- /generated -->`."""
     session = topology_of(load_setup("spacejustin"), snapshots=True, pages=True, recorder=True)
-    processes = tables.processes_table(session)
-    for heading in ("priority", "reads", "writes"):
-        processes = processes.without(heading)
-    channels = _channels_table(session, topology_of(load_setup("taskboard")))
+    channels = _channels_table(session)
     return {
         "commands": commands_text(),
         "pages": pages_list(),
         "keys": keys_table(),
         "holds": holds_table(),
-        "processes": _markdown(joined(_in_code(processes, "process"))),
+        "processes": _processes(session),
         "channels": _markdown(channels),
-        "recorded channels": _markdown(joined(recorded_channels(session))),
+        "recorded channels": "".join(
+            f"- {channels} (`{schema}`): {what}\n"
+            for channels, schema, what in joined(recorded_channels(session)).rows
+        ),
         "setup": setup_fields(),
         "report": report_keys(),
         "counts": counts(),
@@ -415,7 +407,7 @@ def recorded_channels(session: Topology) -> tables.Table:
     rows = channels_of(session, link_frames=True)
     return tables.Table(
         headings=("channel", "schema", "a message"),
-        rows=[(f"`{row.topic}`", f"`{row.schema.full_name}`", row.what) for row in rows],
+        rows=[(f"`{row.topic}`", row.schema.full_name, row.what) for row in rows],
     )
 
 

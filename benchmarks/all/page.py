@@ -12,8 +12,8 @@ _HEAD = """# Measurements
 
 For reviewers: which figures were measured, with which command, and on which code?
 
-`python -m benchmarks all` wrote this page from the JSON files in `{folder}`, which have all other
-figures. A figure is the median of its runs, with least and largest in brackets where they differ.
+`python -m benchmarks all` wrote this page from the JSON files in `{folder}`, with all figures; here
+are medians (least…largest). *Code* digests all modules; commit: `git log -1 {folder}/NAME-1.json`.
 """
 #: By measurement: figures without a target that are on the page; of others, all if none has one.
 _SHOWN = {

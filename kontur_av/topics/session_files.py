@@ -104,7 +104,7 @@ def sessions() -> list[str]:
 def _other_users() -> list[str]:
     """Return the other users who have sessions here, by name, or by number if they have none."""
     owners = set()
-    for path in SHARED_MEMORY.glob("kontur-av-*"):
+    for path in SHARED_MEMORY.glob("kontur-av-*_*"):
         with suppress(FileNotFoundError):
             owners.add(path.lstat().st_uid)
     names = {one.pw_uid: one.pw_name for one in pwd.getpwall()}
@@ -182,12 +182,21 @@ def joins_path(session: str, topic: str) -> Path:
 def user_root() -> Path:
     """Return this user's directory for all sessions: in TMPDIR, if a socket's path fits there.
 
+    Without TMPDIR it is in shared memory. Processes in real time write to it, and a busy disk would
+    keep them for seconds.
+
     Python's `tempfile` would write a file to try each directory. On a full disk it takes another
     one, or none, and an emergency stop would not find its session.
     """
     own = f"kontur-av-{os.getuid()}"
     named = (os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP"))
-    for directory in (*filter(None, named), "/tmp", "/var/tmp", os.curdir):
+    for directory in (
+        *filter(None, named),
+        os.fspath(SHARED_MEMORY),
+        "/tmp",
+        "/var/tmp",
+        os.curdir,
+    ):
         chosen = Path(directory).absolute() / own
         # No file passes as a directory with "/." behind it.
         if os.access(chosen, os.X_OK) or os.access(f"{directory}/.", os.W_OK | os.X_OK):

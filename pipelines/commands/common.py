@@ -2,12 +2,14 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.session_files import choose_session, fitting
-from pipelines.session.requests import running_sessions
-from pipelines.session.sessions import launched_sessions, started_here
+from pipelines.session.requests import ask, running_sessions
+from pipelines.session.sessions import launched_sessions, started_here, terminal_of
 from pipelines.session.setup.segments import Segment
+from pipelines.session.situation import Situation, Why, at_terminal
 from telepresence.haptics.udp_line import unprotected
 
 
@@ -68,10 +70,36 @@ def sending_end(
         running = running_sessions(tmtc_socket_name(origin))
         if fitting(name, running):
             break
-    lacks = "here and takes no telecommands now: it begins or ends"
+    lacks = "here and takes no telecommands now: it begins, ends, or was stopped from a page"
     if sender is not None:
         lacks = f"here without its end {sender}: leave --from out"
     return acting_on(name, running, moves=moves, lacks=lacks), origin
+
+
+#: The applications that have to do with hand and robot.
+_MOVING = ("joystick", "robot", "panel", "tasks")
+
+
+def situation_now(session: str) -> Situation | None:
+    """What holds at the ends of a session that run here; None if nobody answers."""
+    from pipelines.mission.tmtc_messages import AskSituation, SituationAnswer
+    from pipelines.mission.tmtc_socket import TMTC_SOCKETS
+
+    ends = []
+    for service in TMTC_SOCKETS:
+        with suppress(ConfigError, OSError):
+            ends.append(ask(session, service, AskSituation(), SituationAnswer, timeout_s=1.0).known)
+    return at_terminal(ends, terminal_of(session))
+
+
+def say_situation(session: str, application: str, *, failed: bool = False) -> None:
+    """After a telecommand: say on standard error why the hand may not move the robot, what next.
+
+    Where another application is asked, only what made it fail.
+    """
+    told = situation_now(session)
+    if told is not None and (application in _MOVING or (failed and told.why is Why.LINK)):
+        print(f"now: {told.words}", file=sys.stderr)
 
 
 def _said(session: str) -> str:

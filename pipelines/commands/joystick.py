@@ -15,8 +15,9 @@ from pipelines.report.report_file import WordsConsole, check_writable, write_rep
 from pipelines.session.command_process import ended_alike, output_that_may_fail, stopped_by_signals
 from pipelines.session.option_rows import add_actions
 from telepresence.haptics.device.checks import CHECKS, CheckBench
-from telepresence.haptics.device.gamepad import find_gamepads
+from telepresence.haptics.device.gamepad import GamepadDevice, find_gamepads
 from telepresence.haptics.device.simulated import FAULTS
+from telepresence.haptics.device.stick_map import StickMap, asked_map
 from telepresence.haptics.specs import PAGE, ROS2_HAND, is_simulated, open_alone
 
 _ALL = "all"
@@ -26,14 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`list`, `check`, `test` and `drive`, with their options."""
     check = (
         "do with a joystick what a session will do, and say what it does wrong; IT MOVES",
-        *("joystick SPEC  as of `stream --joystick`", SETUP_ROW),
+        *("joystick SPEC  as of `stream --joystick`", SETUP_ROW, "--joystick-map"),
     )
     test = (
         "calibrate a joystick and do its functional checks, each against its limits",
         f"check <{'|'.join([*CHECKS, _ALL])}?={_ALL}>",
         "--device SPEC <=sim>  sim, sim:FAULT, evdev, evdev:/dev/input/eventN, "
         "udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
-        "--report",
+        *("--joystick-map", "--report"),
     )
     actions = {
         "list": ("list the joysticks here, as --device and `stream --joystick` name them",),
@@ -51,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "drive":
         return drive.drive(args)
     if args.action == "check":
-        return _check(args.joystick, axes_of(args.setup))
-    return _test(args.device, args.check, args.report)
+        return _check(args.joystick, axes_of(args.setup), asked_map(args.joystick_map))
+    return _test(args.device, args.check, args.report, asked_map(args.joystick_map))
 
 
 def _list() -> int:
@@ -77,9 +78,11 @@ def _list() -> int:
     return 0
 
 
-def _check(spec: str, axes: Sequence[str] | None) -> int:
+def _check(spec: str, axes: Sequence[str] | None, mapping: StickMap | None) -> int:
     say_unprotected(spec)
-    device, console = open_alone(spec, axes=axes), WordsConsole()
+    device, console = open_alone(spec, axes=axes, mapping=mapping), WordsConsole()
+    if isinstance(device, GamepadDevice):
+        console.print("\n".join(device.mapped), highlight=False)
     console.print(
         f"{device.capabilities.name}; it moves a few centimetres: hands off", highlight=False
     )
@@ -88,10 +91,10 @@ def _check(spec: str, axes: Sequence[str] | None) -> int:
         return print_results(console, list(JoystickCheck(joystick, MonotonicClock()).run()))
 
 
-def _test(spec: str, check: str, report: Path | None) -> int:
+def _test(spec: str, check: str, report: Path | None, mapping: StickMap | None) -> int:
     check_writable(report)
     say_unprotected(spec)
-    device, console = open_alone(spec, axes=None), WordsConsole()
+    device, console = open_alone(spec, axes=None, mapping=mapping), WordsConsole()
     bench = CheckBench(device, list(CHECKS) if check == _ALL else [check])
     try:
         if is_simulated(spec):

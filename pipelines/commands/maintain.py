@@ -42,9 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--session",
     )
     parser.description = (
-        "Run the commands of a script one by one. Each is shown, may be changed, and must be "
-        "confirmed. Nothing is run while an experiment of the session runs. What the session "
-        "announces is shown. Exit code 1 if the script did not come to its end."
+        "Run the commands of a script one by one. Each may be changed, and must be confirmed. "
+        "While an experiment of the session runs, none is run. Exit code 1 if the script did not "
+        "come to its end."
     )
 
 

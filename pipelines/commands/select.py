@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from kontur_av.errors import ConfigError
-from pipelines.commands.common import sending_end
+from pipelines.commands.common import say_situation, sending_end
 from pipelines.mission.choosing import CAMERA, FOCUS, SELECT
 from pipelines.mission.joined_session import JoinedSession
 from pipelines.mission.tmtc_messages import selection_error
@@ -20,8 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "camera CAMERA <?>  for example stereo, static or head",
-        "--focus X,Y,W,H  code this rectangle finer: its left and upper edge, width and height, as "
-        "shares of the picture from 0 to 1, like 0.4,0.3,0.2,0.25; off takes it away",
+        "--focus X,Y,W,H  code a rectangle finer: left and upper edge, width and height, as shares "
+        "of the picture, like 0.4,0.3,0.2,0.25; off takes it away",
         "--session",
     )
 
@@ -43,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
                 if not end.ok:
                     why = selection_error(f"{function} {argument}", end)
                     print(f"kontur-av: {why}", file=sys.stderr)
+                    say_situation(name, CAMERA, failed=True)
                     return 1
                 print(f"{done}; acknowledged after {end.round_trip_ms:.1f} ms")
     except ConnectionError:

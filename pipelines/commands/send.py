@@ -30,8 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--coded-size WxH <=auto>  in which pictures are coded; receivers scale them up (default: "
         "auto, as large as there are bits for)",
         "--refresh-s S <float>  renew the whole picture every S seconds (default: "
-        f"{SLOW_REFRESH_S:g} while a receiver gives feedback, so that it can ask for a whole "
-        f"picture, else {REFRESH_S:g})",
+        f"{SLOW_REFRESH_S:g} while a receiver gives feedback, else {REFRESH_S:g})",
         f"--codec <{'|'.join(VIDEO_CODECS)}=h264>  of pictures: h265 (HEVC) computes more, and "
         "often looks better (default: h264)",
         f"--search <{'|'.join(SEARCHES)}=thorough>  for the best way to code pictures that are "

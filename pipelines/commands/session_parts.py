@@ -10,7 +10,7 @@ from pipelines.commands.common import say_unprotected
 from pipelines.commands.live_session import made_directory
 from pipelines.hand.safety_ends import within
 from pipelines.link.own_ends import PeerPlan, chosen_end
-from pipelines.mission.mission import TaskOptions
+from pipelines.mission.mission import TaskOptions, listed_tasks
 from pipelines.mission.supervisor import session_dictionary
 from pipelines.session.option_rows import refuse_options
 from pipelines.session.options import OPTIONS, StreamOptions, asked_setup, is_given
@@ -19,6 +19,7 @@ from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology.table import SessionOptions, Topology
 from pipelines.session.topology.topics import JOYSTICK, PAGES, TASKS
 from pipelines.table import topology_of
+from telepresence.haptics.device.stick_map import asked_map
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import (
     SIMULATED,
@@ -28,6 +29,7 @@ from telepresence.haptics.specs import (
     is_simulated,
 )
 from telepresence.tasks.cosmonaut import Skill
+from telepresence.tasks.plan import TaskWorld
 from telepresence.tasks.task_files import load_plan, load_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 from telepresence.tmtc.routes import TelemetryRoute, read_routes
@@ -65,7 +67,7 @@ def checked_components(
 ) -> tuple[Component, ...]:
     """Check the joystick and the robots of these ends, and return the components; ConfigError."""
     if Segment.SPACE in segments:
-        check_joystick(args.joystick, setup.more_axes)
+        check_joystick(args.joystick, setup.more_axes, asked_map(args.joystick_map))
     if Segment.GROUND in segments:
         check_robot(args.robot, setup.more_axes, felt=setup.force == "felt")
         check_robot(args.second_robot)
@@ -95,6 +97,7 @@ def asked_topology(
     pages = args.page is not False
     asked |= {"pages": pages, "recorder": True, "tasks": tasks, "components": components}
     asked["routes"] = load_routes(args.routes)
+    asked["joystick_map"] = asked_map(args.joystick_map)
     topology = topology_of(plan.setup, segments=plan.segments, **asked)
     with refused(f"routes {args.routes}", ConfigError):
         session_dictionary(built_in_dictionary(), topology)
@@ -112,7 +115,14 @@ def task_options(
         refuse_options(args, " is for tasks: give --tasks or --plan, too", "leds", "runs")
         return None
     metadata = capabilities_of(args.robot) if Segment.GROUND in segments else None
-    two_hands = metadata is not None and metadata.two_hands and setup.partner_arm == "second"
+    # Space alone does not know the ground's robot.
+    two_hands = metadata.two_hands if metadata is not None else Segment.GROUND not in segments
+    world = TaskWorld(
+        cameras=setup.cameras,
+        setup=setup.name,
+        two_hands=two_hands and setup.partner_arm == "second",
+        measures=metadata is None or metadata.force == "felt",
+    )
     files = args.tasks or ()
     if args.plan is None:
         plan, catalogue = None, load_tasks(files)
@@ -120,7 +130,7 @@ def task_options(
         raise ConfigError("--plan names its files itself: leave those of --tasks out")
     else:
         plan, catalogue = load_plan(args.plan)
-        plan.check(catalogue, setup.cameras, setup.name, two_hands=two_hands)
+        plan.check(catalogue, world)
     simulated = is_simulated(args.joystick)
     if plan is None and (len(segments) == 1 or args.leds is not None):
         # Its eyes need both; people do without it.
@@ -146,7 +156,7 @@ def task_options(
         leds=leds,
         runs=None if runs is None else str(runs.resolve()),
         simulated=simulated,
-        two_hands=two_hands,
+        world=world,
     )
 
 
@@ -156,7 +166,7 @@ def task_arguments(options: TaskOptions | None) -> Mapping[str, Mapping[str, obj
         return {}
     arguments: dict[str, dict[str, object]] = {
         TASKS: {"options": options},
-        PAGES[Segment.SPACE]: {"tasks": options.catalogue},
+        PAGES[Segment.SPACE]: {"tasks": listed_tasks(options.catalogue, options.world)},
     }
     if options.simulated:
         plan = options.plan
@@ -184,7 +194,7 @@ def ends_here(args: StreamOptions, setup: Setup) -> tuple[Topology, PeerPlan | N
 
 
 def _check_own_options(args: StreamOptions, topology: Topology, end: Segment) -> None:
-    if end is Segment.GROUND and args.joystick != SIMULATED:
+    if end is Segment.GROUND and (args.joystick != SIMULATED or args.joystick_map):
         raise ConfigError("--joystick: the joystick is in space; give it at --end space")
     if end is Segment.SPACE:
         why = ": a partner joins the ground; give it at --end ground"

@@ -21,6 +21,7 @@ from telepresence.haptics.hand import Hand
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.specs import GAME_CONTROLLER, PAGE, ROS2_HAND, open_device, open_robot
 from telepresence.haptics.udp_line import UDP
+from telepresence.tasks.plan import TaskWorld
 from telepresence.tasks.task_files import load_plan
 
 
@@ -80,7 +81,7 @@ def _simulate(args: argparse.Namespace, costs: CodingCosts) -> SessionReport:
     selections = parse_selections(args.select, setup, args.seconds)
     plan = None if args.plan is None else load_plan(args.plan)
     if plan is not None:
-        plan[0].check(plan[1], setup.cameras, setup.name)
+        plan[0].check(plan[1], TaskWorld(cameras=setup.cameras, setup=setup.name))
     if plan is not None and args.joystick is not None:
         raise ConfigError("--plan has a joystick of its own: leave --joystick out")
     with (

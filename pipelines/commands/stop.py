@@ -7,11 +7,13 @@ import sys
 
 from kontur_av.clock import MonotonicClock
 from kontur_av.topics.session_files import choose_session
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, situation_now
+from pipelines.session.access import Role
 from pipelines.session.kept_files import KeptOrders
 from pipelines.session.option_rows import add_options
-from pipelines.session.sessions import advised, launched_sessions
+from pipelines.session.sessions import launched_sessions, terminal_of
 from pipelines.session.setup.segments import Segment
+from pipelines.session.situation import Known, at_end
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,20 +34,28 @@ def run(args: argparse.Namespace) -> int:
         return _release(acting_on(args.session, running, moves=True))
     # A stop must not wait for a name.
     named = args.session is not None or not running
-    stopped, failed, ordered_ns = [], None, MonotonicClock().now_ns()
+    #: Who stopped each.
+    stopped: dict[str, str] = {}
+    failed, ordered_ns = None, MonotonicClock().now_ns()
     for session in [choose_session(args.session, running)] if named else running:
         try:
             KeptOrders(session).stop(f"a terminal of {_user()}")
-            stopped.append(session)
+            stopped[session] = KeptOrders(session).stopped_by or "somebody"
         except OSError as error:
             failed = error
-    for session in stopped:
-        by = KeptOrders(session).stopped_by or "somebody"
-        print(f"{session}: emergency stop by {by}; {advised('stop --release', session)} ends it")
     # Only now, because loading it takes a while.
     from pipelines.hand.safety_ends import await_stopped
 
     silent = [(one, words) for one in stopped if (words := await_stopped(one, ordered_ns))]
+    for session, by in stopped.items():
+        held = Known(
+            seat=Segment.GROUND,
+            role=Role.OPERATOR,
+            stopped=True,
+            by=by,
+            answered=session not in dict(silent),
+        )
+        print(f"{session}: {at_end(held, terminal_of(session)).words}")
     unkept = [(one, words) for one in stopped if (words := KeptOrders(one).settle(wait=True))]
     for session, words in (*silent, *unkept):
         print(f"{session}: {words}", file=sys.stderr)
@@ -84,8 +94,7 @@ def _release(session: str) -> int:
     if silent := await_stopped(session, ordered_ns, stopped=False):
         print(f"{session}: {silent}", file=sys.stderr)
         return 1
-    print(
-        f"{session}: released the emergency stop by {by or 'somebody'}; switch the robot on "
-        f"({advised('tc robot power_on', session)}), then press the dead-man button anew"
-    )
+    told = situation_now(session)
+    now = "" if told is None else f". Now {told.words}"
+    print(f"{session}: released the emergency stop by {by or 'somebody'}{now}")
     return 0

@@ -5,7 +5,7 @@ from random import SystemRandom
 
 from kontur_av.errors import ConfigError
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on
+from pipelines.commands.common import acting_on, situation_now
 from pipelines.commands.tc import follow
 from pipelines.mission.tmtc_messages import SendCommand
 from pipelines.mission.tmtc_socket import Sending, tmtc_socket_name
@@ -25,13 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "action <list|select|start|abort>  list: the tasks, and where the present one is; select: "
-        "prepare the robot, and tell the cosmonaut; start: begin in the cosmonaut's place; abort: "
-        "end it",
+        "prepare the robot, and tell the cosmonaut; start: in the cosmonaut's place",
         "task TASK <?>  which one to select",
         "--session",
     )
     parser.description = (
-        "What an experimenter on the ground does with the tasks of a session that was started with "
+        "What an experimenter does with the tasks of a session that was started with "
         "--tasks or --plan. Exit code 1 if it is refused."
     )
 
@@ -49,6 +48,8 @@ def run(args: argparse.Namespace) -> int:
         shown = _shown(bus, session)
         if args.action == "list":
             _print(shown)
+            if (told := situation_now(session)) is not None:
+                print(told.words)
             return 0
         arguments: tuple[int, ...] = ()
         if args.action == "select":

@@ -5,7 +5,7 @@ import sys
 from random import SystemRandom
 
 from kontur_av.topics.bus import TopicBus
-from pipelines.commands.common import acting_on, sending_end
+from pipelines.commands.common import acting_on, say_situation, sending_end
 from pipelines.mission.tmtc_messages import (
     SHORT_VERBS,
     Reported,
@@ -99,4 +99,7 @@ def follow(sending: Sending, application: Application) -> int:
             print(update_words(news), file=sys.stderr if failed else sys.stdout, flush=True)
     if sending.done is None:
         print("kontur-av: the session has not answered", file=sys.stderr)
-    return 0 if sending.done is not None and sending.done.ok else 1
+    done = sending.done is not None and sending.done.ok
+    if sending.request.verb == "call":
+        say_situation(sending.session, application.name, failed=not done)
+    return 0 if done else 1

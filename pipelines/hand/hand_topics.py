@@ -6,10 +6,10 @@ import msgspec
 
 from pipelines.session.topic import Topic
 from telepresence.haptics.authority import Authority, AuthorityMetrics
-from telepresence.haptics.device.handle import Drive
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.policy import Place, PolicyMessage
 from telepresence.haptics.device.states import ExperimentName, JoystickEvent
+from telepresence.haptics.sample import Drive
 
 #: Texts are cut to this length, so that a state stays short.
 MOST_CHARACTERS = 400

@@ -1,7 +1,7 @@
 """The processes of robot (ground) and joystick (space), each a 1 kHz loop."""
 
 from collections import deque
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import fields
 
 from kontur_av.topics.bus import TopicBus
@@ -316,6 +316,11 @@ class _Joystick:
     def _keep(self, now_ns: int) -> None:
         """Keep a person's orders, and put the emergency stop into every sample."""
         kept, handle, operation = self._kept, self._handle, self._handle.operation
+        if handle.stop_asked:
+            handle.stop_asked = False
+            # A session whose directory is gone is stopped anyway.
+            with suppress(OSError):
+                kept.stop("the joystick's stop button")
         # Each order has its instant as its name; 1 if the instant is not known.
         ordered_ns = (kept.stopped_at_ns or 1) if kept.stopped else None
         handle.stop = self._stop_bit.handle_order(ordered_ns, handle.robot_stopped, now_ns)
@@ -391,7 +396,10 @@ def run_joystick(context: Context, *, skill: float | None = None, taps: bool = F
     if skill is not None:
         hand = Cosmonaut(Skill(level=skill), seed=context.seed, taps=taps)
     topology = context.topology
-    device = open_device(topology.options.joystick, hand=hand, axes=context.setup.more_axes)
+    options = topology.options
+    device = open_device(
+        options.joystick, hand=hand, axes=context.setup.more_axes, mapping=options.joystick_map
+    )
     with closing(device), context.open_bus() as bus:
         _publish_datagrams(context, device)
         shell = _Joystick(context, bus, device, hand)

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 
 import msgspec
 
@@ -29,7 +29,7 @@ from telepresence.tasks.kernel import (
     View,
 )
 from telepresence.tasks.panel_picture import DARK, PanelSender
-from telepresence.tasks.plan import NEEDS_TWO_HANDS, PlanFollower, SessionPlan
+from telepresence.tasks.plan import PlanFollower, SessionPlan, TaskWorld
 from telepresence.tmtc.k2aci import K2aciMessage, TaskFinished, TaskResult
 
 _MOST_STEPS, _MOST_RUNS = 40, 20
@@ -41,7 +41,7 @@ class TaskOptions:
     """Which tasks there are, who selects them, and where the LED panel is (None: built in).
 
     plan: None: people select. runs: directory for one recording of each run. simulated: a simulated
-    cosmonaut does them. two_hands: the robot's hand can meet that of the partner's arm.
+    cosmonaut does them. world: what is there to do them with.
     """
 
     catalogue: Catalogue
@@ -49,7 +49,7 @@ class TaskOptions:
     leds: tuple[str, int] | None = None
     runs: str | None = None
     simulated: bool = False
-    two_hands: bool = False
+    world: TaskWorld = field(default_factory=TaskWorld)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -66,6 +66,13 @@ class Seen:
     link: LinkMeanwhile
     other: OtherHand | None = None
     exercise: bool = False
+
+
+def listed_tasks(catalogue: Catalogue, world: TaskWorld) -> tuple[TaskListed, ...]:
+    """All tasks, and why some of them cannot be done in this world."""
+    return tuple(
+        TaskListed(task.name, task.text, world.lacks(task)) for task in catalogue.tasks.values()
+    )
 
 
 class MissionMemory(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,7 +99,7 @@ class MissionGround:
     `memory`. A new start that is given the memory of a run ends it as aborted.
 
     plan: what is selected, and when; None: people do that.
-    two_hands: the robot's hand can meet that of the partner's arm.
+    world: what is there to do them with.
     first_number: of the LED panel's datagrams, as of `PanelSender`.
     """
 
@@ -104,7 +111,7 @@ class MissionGround:
         now_ns: int,
         memory: MissionMemory | None = None,
         first_number: int = 0,
-        two_hands: bool = False,
+        world: TaskWorld | None = None,
     ) -> None:
         self._catalogue = catalogue
         memory = memory or MissionMemory()
@@ -112,12 +119,7 @@ class MissionGround:
         self.leds = PanelSender(first_number=first_number)
         self.journal = TaskJournal(memory.rows)
         self._names = tuple(catalogue.tasks)
-        self._listed = tuple(
-            TaskListed(
-                task.name, task.text, NEEDS_TWO_HANDS if task.two_handed and not two_hands else ""
-            )
-            for task in catalogue.tasks.values()
-        )
+        self._listed = listed_tasks(catalogue, world or TaskWorld())
         self._follower = None if plan is None else PlanFollower(plan, finished=memory.planned)
         self._next_run = memory.next_run
         #: Somebody on the ground has ended the present run, so that the plan goes on.

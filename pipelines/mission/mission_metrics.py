@@ -51,6 +51,18 @@ class TmtcMetrics:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class SituationMetrics:
+    """What an end says at a terminal of its machine, as `pipelines.session.situation` has it."""
+
+    #: What keeps the hand from moving the robot; `follows` and `ready`: nothing does.
+    situation: str = ""
+    #: The same as a part of a sentence.
+    reason: str = ""
+    #: What to do next.
+    advice: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TaskMetrics:
     """The process of tasks, and the newest runs."""
 

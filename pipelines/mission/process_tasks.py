@@ -91,11 +91,12 @@ class _Tasks:
             now_ns=now_ns,
             memory=self._kept,
             first_number=now_ns // (100 * NS_PER_MS) % (1 << 32),
-            two_hands=options.two_hands,
+            world=options.world,
         )
         if self._kept is None and self._remembered.exists():
             self._ground.switch_off(now_ns)
-        self._other_robot = TopicReader(bus, SECOND_ROBOT_TOPIC) if options.two_hands else None
+        two_hands = options.world.two_hands
+        self._other_robot = TopicReader(bus, SECOND_ROBOT_TOPIC) if two_hands else None
         self._other: WorldState | None = None
         self._client = TmtcClient(bus, context.session, Segment.GROUND, TASKS, first_number=now_ns)
         self._status = TopicReader(bus, ROBOT_STATUS_TOPIC)

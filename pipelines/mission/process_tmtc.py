@@ -27,25 +27,33 @@ from pipelines.mission.tmtc_messages import (
     MAX_NEWS_OCTETS,
     MAX_REQUEST_OCTETS,
     TMTC_TOPICS,
+    AskSituation,
     FunctionAsked,
+    SituationAnswer,
     TmtcRequest,
     Values,
 )
 from pipelines.mission.tmtc_segment import TmtcSegment
 from pipelines.mission.tmtc_socket import send_to_tmtc, tmtc_socket_name, write_dictionary
 from pipelines.session.datagrams import receive
+from pipelines.session.kept_files import KeptOrders
 from pipelines.session.mission_messages import (
     MISSION_CAMERA_TOPIC,
+    MISSION_GROUND_TOPIC,
+    MISSION_PANEL_TOPIC,
     ROBOT_COMMAND_TOPIC,
     ROBOT_STATUS_TOPIC,
     ROBOT_TOPIC,
 )
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.requests import RequestServer
+from pipelines.session.sessions import terminal_of
 from pipelines.session.setup.segments import Segment
+from pipelines.session.topic import Topic
 from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY
 from pipelines.session.topology.topics import (
+    CONSOLE,
     SELECTOR,
     TELECOMMAND_KIND,
     TELEMETRY_KIND,
@@ -109,18 +117,24 @@ class TmtcServer:
         self._news = TopicWriter(bus, TMTC_TOPICS[segment], wake=True, octets=MAX_NEWS_OCTETS)
         link = TopicReader(bus, link_state_topic(segment))
         self._topics: list[tuple[TopicReader[Any], Callable[[Any, int], None]]] = [
-            (link, tmtc.gateway.handle_values)
+            (link, tmtc.handle_link)
         ]
         self._commands: TopicWriter[Any]
-        if (joystick := tmtc.joystick) is not None:
+        shown: Topic[Any]
+        if (robot := tmtc.robot) is None:
             self._commands = TopicWriter(bus, JOYSTICK_COMMAND_TOPIC, wake=True)
             states = TopicReader(bus, JOYSTICK_STATE_TOPIC, depth=_STATES)
-            self._topics.append((states, joystick.handle_status))
-        elif (robot := tmtc.robot) is not None:
+            self._topics.append((states, tmtc.handle_status))
+            shown = MISSION_PANEL_TOPIC
+        else:
             self._commands = TopicWriter(bus, ROBOT_COMMAND_TOPIC, wake=True)
             self._topics.append((TopicReader(bus, ROBOT_TOPIC), robot.handle_state))
             statuses = TopicReader(bus, ROBOT_STATUS_TOPIC, depth=_STATES)
-            self._topics.append((statuses, robot.handle_status))
+            self._topics.append((statuses, tmtc.handle_status))
+            shown = MISSION_GROUND_TOPIC
+        if shown in context.topology.reads(CONSOLE if robot is None else SELECTOR):
+            self._topics.append((TopicReader(bus, shown), tmtc.knowledge.handle_told))
+        self._kept = KeptOrders(context.session)
         make_session_root(context.session)
         write_dictionary(context.session, tmtc.dictionary)
         self._now_ns = now_ns
@@ -128,11 +142,11 @@ class TmtcServer:
         self.requests = RequestServer(
             context,
             tmtc_socket_name(segment),
-            TmtcRequest,
-            lambda request, _: self.end.handle_request(request, self._now_ns),
+            TmtcRequest | AskSituation,
+            self._answer,
             most_octets=MAX_REQUEST_OCTETS,
         )
-        context.on_flush(lambda: self.end.publish(context.probe))
+        context.on_flush(self._publish)
 
     def handle_packet(self, datagram: bytes, now_ns: int) -> bool:
         """A datagram of the flow; False if it is not one of PUS. Call `work` afterwards."""
@@ -147,6 +161,8 @@ class TmtcServer:
                 take(sample, now_ns)
         self._now_ns = now_ns
         self.requests.serve()
+        tmtc.knowledge.stop = self._kept.stopped, self._kept.stopped_by
+        tmtc.situation.handle_time(now_ns)
         while (told := self._context.receive_news()) is not None:
             tmtc.handle_processes(told.processes, now_ns)
         while (packet := end.poll_transmit(now_ns)) is not None:
@@ -163,6 +179,19 @@ class TmtcServer:
             self._news.publish(news, now_ns)
         while (order := tmtc.poll_order()) is not None:
             self._context.order(order, now_ns)
+
+    def _answer(
+        self, request: TmtcRequest | AskSituation, _connection: int
+    ) -> SituationAnswer | None:
+        if isinstance(request, AskSituation):
+            return SituationAnswer(self._tmtc.situation.known(self._now_ns))
+        self.end.handle_request(request, self._now_ns)
+        return None
+
+    def _publish(self) -> None:
+        self.end.publish(self._context.probe)
+        terminal = terminal_of(self._context.session)
+        self._context.probe.publish(self._tmtc.situation.report(self._now_ns, terminal))
 
     def wait_ns(self, now_ns: int, most_ns: int) -> int:
         """How long nothing has to be done without a request or a packet, at most `most_ns`."""

@@ -49,6 +49,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 ROBOT_STATUS_TOPIC,
                 link_state_topic(Segment.GROUND),
                 MISSION_CAMERA_TOPIC,
+                MISSION_GROUND_TOPIC,
             ),
             writes=(
                 SELECTED_TOPIC,
@@ -64,7 +65,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
             stage=Stage.LINK,
             run="pipelines.mission.process_tmtc:run_console",
             stoppable=False,
-            reads=(JOYSTICK_STATE_TOPIC, link_state_topic(Segment.SPACE)),
+            reads=(JOYSTICK_STATE_TOPIC, link_state_topic(Segment.SPACE), MISSION_PANEL_TOPIC),
             writes=(
                 *given(setup.renders_walls, WALL_TOPIC),
                 JOYSTICK_COMMAND_TOPIC,

@@ -13,6 +13,7 @@ import msgspec
 
 from kontur_av.errors import ConfigError, refused
 from pipelines.session.setup.segments import Segment
+from pipelines.session.situation import Known
 from pipelines.session.topic import Topic
 from telepresence.malformed import MALFORMED
 from telepresence.tmtc.k2aci import CLASSES, K2aciMessage
@@ -97,6 +98,16 @@ class SendK2aci(msgspec.Struct, frozen=True, tag=True):
 
 
 TmtcRequest = SetValues | RaiseEvent | SendCommand | ForwardCommand | FunctionDone | SendK2aci
+
+
+class AskSituation(msgspec.Struct, frozen=True, tag=True):
+    """A terminal asks what this end knows of hand and robot."""
+
+
+class SituationAnswer(msgspec.Struct, frozen=True, tag=True):
+    """Answers `AskSituation`."""
+
+    known: Known
 
 
 class CommandUpdate(msgspec.Struct, frozen=True, tag=True, omit_defaults=True):

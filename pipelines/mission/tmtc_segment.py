@@ -2,12 +2,19 @@
 
 from collections.abc import Callable, Sequence
 
-from pipelines.hand.hand_topics import HandRequest
+from pipelines.hand.hand_topics import HandRequest, JoystickStatus
+from pipelines.hand.knowledge import EndKnowledge, EndTraits
+from pipelines.link.link_metrics import CONNECTED
 from pipelines.mission.supervisor import ProcessSupervisor, session_dictionary
 from pipelines.mission.tmtc import TmtcEnd
-from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews
-from pipelines.mission.tmtc_sources import GatewaySource, JoystickSource, RobotSource
-from pipelines.session.mission_messages import RobotCommand
+from pipelines.mission.tmtc_messages import FunctionAsked, TmtcNews, Values
+from pipelines.mission.tmtc_sources import (
+    GatewaySource,
+    JoystickSource,
+    RobotSource,
+    SituationSource,
+)
+from pipelines.session.mission_messages import RobotCommand, RobotStatus
 from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.table import Topology
@@ -20,14 +27,14 @@ HandCommand = HandRequest | RobotCommand
 class TmtcSegment:
     """The applications of a segment: gateway, joystick or robot, and the supervisor of processes.
 
-    Hand over packets and requests to `end`, parameters to the sources, and the launcher's news to
-    `handle_processes`. Then send `end.poll_transmit`, and take `next_event` until None. Order
+    Hand over packets and requests to `end`, what panel and experiment show to `knowledge`, all
+    else to the methods. Then send `end.poll_transmit`, and take `next_event` until None. Order
     `poll_order` of the launcher.
 
     dictionary: the built-in one. first_number: above those of an earlier life; other arguments as
     of `TmtcEnd`.
 
-    gateway, joystick, robot: the sources; the last two where they are of this segment.
+    robot: the source of its state, on the ground. situation: what may be done now at this end.
     """
 
     def __init__(
@@ -55,15 +62,31 @@ class TmtcSegment:
         )
         self._supervisor = ProcessSupervisor(segment, topology)
         self.poll_order = self._supervisor.poll_transmit
-        self.gateway = GatewaySource(end, f"{segment.value}_gateway")
-        self.joystick = self.robot = None
+        self._gateway = GatewaySource(end, f"{segment.value}_gateway")
+        self.knowledge = EndKnowledge(EndTraits.of(topology, segment))
+        self.situation = SituationSource(end, self.knowledge, segment)
+        self._joystick = self.robot = None
         self._request: Callable[[FunctionAsked, int], HandCommand | None]
         if segment is Segment.SPACE:
-            self.joystick = JoystickSource(end, first_number=first_number)
-            self._request = self.joystick.handle_asked
+            self._joystick = JoystickSource(end, first_number=first_number)
+            self._request = self._joystick.handle_asked
         else:
             self.robot = RobotSource(end, first_number=first_number)
             self._request = self.robot.handle_asked
+
+    def handle_link(self, values: Values, now_ns: int) -> None:
+        """What the gateway of this segment tells."""
+        self._gateway.handle_values(values, now_ns)
+        self.situation.connected = values.get("state") == CONNECTED and bool(values.get("signal"))
+
+    def handle_status(self, status: JoystickStatus | RobotStatus, now_ns: int) -> None:
+        """What the joystick or the robot of this segment tells."""
+        self.knowledge.handle_told(status, now_ns)
+        if isinstance(status, RobotStatus):
+            if self.robot is not None:
+                self.robot.handle_status(status, now_ns)
+        elif self._joystick is not None:
+            self._joystick.handle_status(status, now_ns)
 
     def handle_processes(self, states: Sequence[ProcessNow], now_ns: int) -> None:
         """What the launcher says of the processes of this machine."""

@@ -144,8 +144,8 @@ class Sending:
     """Sends a request until the end has taken it, then follows what is said of it."""
 
     def __init__(self, session: str, origin: Segment, request: SendCommand, bus: TopicBus) -> None:
-        self._session, self._origin = session, origin
-        self._request = request
+        self.session, self._origin = session, origin
+        self.request = request
         self._reader = TopicReader(bus, TMTC_TOPICS[origin], depth=_DEPTH)
         self._taken = False
         self._stage = ""
@@ -164,7 +164,7 @@ class Sending:
                 return
             if not self._taken and now_ns >= again_ns:
                 again_ns = now_ns + _ASK_AGAIN_NS
-                send_to_tmtc(self._session, self._origin, self._request)
+                send_to_tmtc(self.session, self._origin, self.request)
             if now_ns - begun_ns > (_TIMEOUT_NS if self._taken else _TAKEN_NS):
                 return
             self._reader.open().wait(_LOOK_NS)
@@ -176,7 +176,7 @@ class Sending:
 
     def _take(self, news: TmtcNews) -> CommandUpdate | Reported | None:
         """Return news of this telecommand that were not told yet."""
-        request = self._request
+        request = self.request
         if isinstance(news, CommandUpdate):
             if (news.client, news.id) != (request.client, request.id):
                 return None

@@ -1,5 +1,7 @@
 """Where the parameters of joystick, robot and gateways come from, and how the two are told.
 
+The situation of an end is told for each of its people: by joystick and robot.
+
 | application | parameters from | functions |
 |---|---|---|
 | joystick | `joystick/state` | requests on `joystick/command`, answered in `joystick/state` |
@@ -10,11 +12,16 @@
 from collections import OrderedDict
 from math import nan
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from pipelines.hand.hand_topics import HandRequest, JoystickStatus
+from pipelines.hand.knowledge import EndKnowledge
+from pipelines.mission.mission_metrics import SituationMetrics
 from pipelines.mission.tmtc import TmtcEnd
 from pipelines.mission.tmtc_messages import FunctionAsked, FunctionDone, Values
+from pipelines.session.access import PEOPLE, Role
 from pipelines.session.mission_messages import RobotCommand, RobotStatus
+from pipelines.session.setup.segments import Segment
+from pipelines.session.situation import Known, Terminal, Why, at_end, situation
 from telepresence.haptics.device.functional_test import Outcome
 from telepresence.haptics.device.states import REQUESTS, JoystickState
 from telepresence.tasks.definitions import ControlMode
@@ -239,3 +246,53 @@ def _application(status: JoystickStatus, state: JoystickState) -> str:
     if status.test == Outcome.RUNNING:
         return "joystick test"
     return status.experiment if state is JoystickState.APPLICATION else "none"
+
+
+#: A reason is an event once it has held for so long, and at most so often.
+_STEADY_NS, _EVENT_NS = NS_PER_S, 2 * NS_PER_S
+
+
+class SituationSource:
+    """Tells why the hand may not move the robot at an end, and what each of its people does next.
+
+    connected: the caller sets whether the radio link is.
+    """
+
+    def __init__(self, end: TmtcEnd, knowledge: EndKnowledge, segment: Segment) -> None:
+        self._end, self._knowledge, self._segment = end, knowledge, segment
+        self._application = "joystick" if segment is Segment.SPACE else "robot"
+        self.connected = False
+        self._due_ns = self._event_ns = 0
+        #: The newest reason with its instant, and the one that was an event.
+        self._why: tuple[Why, int] | None = None
+        self._told: Why | None = None
+
+    def known(self, now_ns: int, role: Role = Role.OPERATOR) -> Known:
+        """What this end knows, for a role."""
+        return self._knowledge.known(role, now_ns, connected=self.connected)
+
+    def report(self, now_ns: int, terminal: Terminal) -> SituationMetrics:
+        """What a terminal on this end's machine says."""
+        told = at_end(self.known(now_ns), terminal)
+        return SituationMetrics(situation=told.why, reason=told.reason, advice=told.advice)
+
+    def handle_time(self, now_ns: int) -> None:
+        """Twice a second the parameters; an event when another reason lasts."""
+        if now_ns < self._due_ns:
+            return
+        self._due_ns = now_ns + SAMPLE_NS
+        told = {role: situation(self.known(now_ns, role)) for role in PEOPLE[self._segment]}
+        why = next(iter(told.values())).why
+        values: Values = {"situation": why.value}
+        values |= {f"next_{role.value}": each.next.value for role, each in told.items()}
+        self._end.handle_values(self._application, values, now_ns)
+        # A hand that presses and lets go changes nothing.
+        why = Why.READY if why in (Why.FOLLOWS, Why.PRESS) else why
+        if self._why is None or self._why[0] is not why:
+            self._why = why, now_ns
+        if self._told is None:
+            self._told = why
+        lasts = now_ns - self._why[1] >= _STEADY_NS and now_ns >= self._event_ns
+        if lasts and why is not self._told:
+            self._told, self._event_ns = why, now_ns + _EVENT_NS
+            self._end.handle_event(self._application, "situation_changed", now_ns)

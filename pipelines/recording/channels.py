@@ -4,7 +4,7 @@ They derive from the topology. A new stream, camera or direction of the link has
 once.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,7 @@ from pipelines.recording.recorded_messages import (
     LOSSES,
     METRICS,
     MISSION_PANEL,
+    PARAMETERS,
     SCHEMAS,
     SPACE_PACKET,
     TRANSFER_FRAMES,
@@ -55,6 +56,7 @@ from pipelines.session.topology.topics import (
     RTC_VIDEO,
     RTC_VIDEO_TOPIC,
     RTC_VOICE,
+    TELEMETRY_KIND,
     packet_topics,
 )
 from telepresence.link.link_metrics import GatewayMetrics
@@ -69,6 +71,11 @@ _TOLD = {
     LOG_LINES: (LOG, "the events as lines, for Foxglove's panel"),
     SESSION_METRICS: (METRICS, "figures of the report that have changed, once a second"),
     RECORDER_LOSSES: (LOSSES, "what the recorder could not keep"),
+}
+#: Components are beside the robot: by topic of their telemetry, the way.
+_REPORTED = {
+    packet_topics(Segment.GROUND)[TELEMETRY_KIND, SENT]: SENT,
+    packet_topics(Segment.SPACE)[TELEMETRY_KIND, RECEIVED]: RECEIVED,
 }
 #: By end of the hand: its topic.
 _TRACES = {"joystick": JOYSTICK_TRACE_TOPIC, "robot": ROBOT_TRACE_TOPIC}
@@ -149,15 +156,26 @@ def channels_of(topology: Topology, *, link_frames: bool = False) -> tuple[Chann
     found = [
         (topic, schema, what)
         for source in _sources(topology, link_frames=link_frames)
-        for (topic, what), schema in zip(
-            source.messages.items(), _SCHEMAS[source.topic.type], strict=True
-        )
+        for (topic, what), schema in zip(source.messages.items(), _schemas_of(source), strict=True)
     ]
     found += [(topic, schema, what) for topic, (schema, what) in _TOLD.items()]
     return tuple(
         ChannelRow(topic=topic, schema=schema, what=what, number=number)
         for number, (topic, schema, what) in enumerate(found, start=1)
     )
+
+
+def _schemas_of(source: Source) -> tuple[MessageSchema, ...]:
+    """The schemas of its channels. Behind packets come the parameters of applications."""
+    schemas = _SCHEMAS[source.topic.type]
+    more = len(source.messages) - 1 if source.topic.type is PacketOctets else 0
+    return (*schemas, *[PARAMETERS] * more)
+
+
+def parameter_topics(applications: Iterable[str], packets: AnyTopic) -> list[str]:
+    """Return the channels of what applications report, of a topic of packets that has them."""
+    way = _REPORTED.get(packets)
+    return [] if way is None else [f"/parameters/{name}/{way}" for name in applications]
 
 
 def sources_of(topology: Topology, *, link_frames: bool = False) -> tuple[Source, ...]:
@@ -189,9 +207,12 @@ def _sources(topology: Topology, *, link_frames: bool) -> Iterator[Source]:
             when = "of every picture" if every else "while no stream carries the camera"
             what = f"access unit, {when}"
             yield Source(row.topic, row.name, {f"/camera/{row.name}": what})
+    components = [one.application.name for one in topology.options.components]
     for segment in Segment:
         for (kind, way), topic in packet_topics(segment).items():
             messages = {f"/{kind}/{segment.value}/{way}": topic.what}
+            for channel in parameter_topics(components, topic):
+                messages[channel] = f"parameters of a component, as {way}"
             yield Source(topic, kind, messages)
     for segment in Segment:
         out, back = segment.transmits.value, segment.transmits.opposite.value

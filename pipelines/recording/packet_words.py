@@ -8,6 +8,7 @@ from re import sub
 from typing import Final
 
 from kontur_av.errors import ProtocolError
+from pipelines.recording.recorded_messages import ParameterValue
 from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.tmtc.k2aci import Numbered, parse_body
 from telepresence.tmtc.pus import verification
@@ -22,7 +23,13 @@ from telepresence.tmtc.pus.dictionary import (
 from telepresence.tmtc.pus.head import is_packet
 from telepresence.tmtc.pus.node import K2ACI_SERVICE
 from telepresence.tmtc.pus.packets import Telecommand, Telemetry, parse_packet
-from telepresence.tmtc.pus.user import Alive, EventReport, HousekeepingReport, parse_report
+from telepresence.tmtc.pus.user import (
+    Alive,
+    EventReport,
+    HousekeepingReport,
+    ParameterReport,
+    parse_report,
+)
 from telepresence.tmtc.pus.values import Parameter, Value, unpack_values
 
 #: Telecommands whose names are kept, for the reports about them.
@@ -61,6 +68,22 @@ class PacketWords:
         except ProtocolError:
             words = f"{name}: malformed"
         return f"{kind} {words}"
+
+    def values(self, data: bytes) -> tuple[str, list[ParameterValue]] | None:
+        """Return the application whose parameters a packet tells, and their values, or None."""
+        try:
+            packet = parse_packet(data) if is_packet(data) else None
+            table = None if packet is None else self._by_apid.get(packet.apid)
+            if table is None or not isinstance(packet, Telemetry) or packet.service not in (3, 20):
+                return None
+            report = parse_report(table, packet)
+        except ProtocolError:
+            return None
+        if not isinstance(report, HousekeepingReport | ParameterReport):
+            return None
+        units = {one.name: one.unit for one in table.parameters}
+        told = (ParameterValue.of(name, units[name], one) for name, one in report.values.items())
+        return table.name, list(told)
 
     def _verification_words(self, packet: Telemetry, name: str) -> str:
         report = verification.parse_verification(packet.subtype, packet.data)

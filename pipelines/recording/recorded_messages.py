@@ -357,6 +357,28 @@ class RecordedMetrics(Recorded):
     metrics: Annotated[Sequence[RecordedFigure], "one for each"]
 
 
+@record("Parameter")
+class ParameterValue:
+    """The value of a parameter of an application: a number, or a text."""
+
+    name: Annotated[Text, "its name"]
+    unit: Annotated[Text, "its unit, as the component writes it; empty without"]
+    number: Annotated[Double, "its value, 1 for true; NaN for a text"]
+    text: Annotated[Text, "its value if it is a text or a choice"]
+
+    @classmethod
+    def of(cls, name: str, unit: str, value: float | str | bool) -> "ParameterValue":
+        if isinstance(value, str):
+            return cls(name=name, unit=unit, number=nan, text=value)
+        return cls(name=name, unit=unit, number=float(value), text="")
+
+
+@record("Parameters", "values that an application has reported")
+class RecordedParameters(Recorded):
+    session_ns: Annotated[Int64, "instant at which the report was sent or received, session clock"]
+    values: Annotated[Sequence[ParameterValue], "one for each parameter of the report"]
+
+
 Value = TypeVar("Value", bound=Recorded)
 
 
@@ -468,11 +490,12 @@ LINK_RECEIVED, EVENT = LinkReceived.schema, RecordedEvent.schema
 LOSSES, METRICS = RecorderLosses.schema, RecordedMetrics.schema
 EXPERIMENT, LED_PANEL = RecordedExperiment.schema, RecordedLeds.schema
 MISSION_PANEL, DRIVER = RecordedPanel.schema, RecordedDriver.schema
+PARAMETERS = RecordedParameters.schema
 #: All schemas; a channel names its own by its place here.
 SCHEMAS = (
     *(VIDEO, AUDIO, LOG, UNIT_METADATA, HAPTIC_SAMPLES, SPACE_PACKET, TRANSFER_FRAMES),
     *(LINK_SENT, LINK_RECEIVED, EVENT, LOSSES, METRICS, EXPERIMENT, LED_PANEL, MISSION_PANEL),
-    DRIVER,
+    *(DRIVER, PARAMETERS),
 )
 #: The `sequence` of a cycle without a sample on the link.
 NO_SAMPLE: Final = haptic_trace.NO_SAMPLE

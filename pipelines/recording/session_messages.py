@@ -23,6 +23,7 @@ from pipelines.recording.channels import (
     SENT,
     SESSION_METRICS,
     Source,
+    parameter_topics,
 )
 from pipelines.recording.packet_words import PacketWords
 from pipelines.session.mission_messages import ExperimentShown, LedsShown, PanelShown
@@ -113,6 +114,7 @@ class SessionMessages:
     ) -> Sequence[ChannelMessage]:
         """Return what a sample becomes, other than an access unit or a camera's picture."""
         at_ns, kind, number = stamp.capture_ns, source.topic.type, stamp.sequence
+        channels = source.channels
         if kind is HapticBlock:
             rows = rows_of(octets)
             if not len(rows):
@@ -133,11 +135,19 @@ class SessionMessages:
                 session_ns=at_ns, data=octets, what=self._words.of(octets)
             )
             told = [messages.pack(packet)]
+            channels = channels[:1]
+            named = self._words.values(octets) if len(source.channels) > 1 else None
+            if named is not None:
+                application, found = named
+                topics = parameter_topics((application,), source.topic)
+                channels += tuple(topic for topic in topics if topic in source.channels)
+                values = messages.RecordedParameters(session_ns=at_ns, values=found)
+                told += [messages.pack(values)] * (len(channels) - 1)
         elif kind is GatewayMetrics:
-            found: GatewayMetrics = source.topic.unpack(octets)
-            state = found.supervision
-            sent = messages.LinkSent.of(found.transmit, found.radio, state, session_ns=at_ns)
-            received = messages.LinkReceived.of(found.receive, state, session_ns=at_ns)
+            metrics: GatewayMetrics = source.topic.unpack(octets)
+            state = metrics.supervision
+            sent = messages.LinkSent.of(metrics.transmit, metrics.radio, state, session_ns=at_ns)
+            received = messages.LinkReceived.of(metrics.receive, state, session_ns=at_ns)
             told = [messages.pack(sent), messages.pack(received)]
         elif kind in _SHOWN:
             shown = source.topic.unpack(octets)
@@ -157,7 +167,7 @@ class SessionMessages:
             at_ns = times[0]
         else:
             raise ValueError(f"{source.topic}: its samples are not octets")
-        return _messages(source.channels, told, at_ns + self._offset_ns, number, at)
+        return _messages(channels, told, at_ns + self._offset_ns, number, at)
 
     def touches(self, source: Source, octets: bytes) -> Sequence[messages.RecordedEvent]:
         """Return the touches in a sample of the robot's haptics."""

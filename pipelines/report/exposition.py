@@ -45,7 +45,7 @@ _UNITS = {
 }
 _ANY = "*"
 #: Sentences with numbers in them, of which each would be a series of its own.
-_SENTENCES = {"path_why"}
+_SENTENCES = {"path_why", "reason", "advice"}
 _Path = tuple[str, ...]
 _COUNTS: _Path = ("processes", _ANY, "counts")
 

@@ -24,6 +24,8 @@ from pipelines.report.summary import LIVE_COLUMNS, NO_SAMPLE, kbps, silence_line
 from pipelines.session.launcher import Launcher, launcher_cpu_s
 from pipelines.session.session_switch import Activity
 from pipelines.session.setup.segments import Segment
+from pipelines.session.situation import Next, Situation, Why, of_both
+from pipelines.session.topology.topics import CONSOLE, SELECTOR
 
 #: The keys of the ledger whose rates stand in a line of the link.
 _LEVELS = ("haptic", "tmtc", "voice", "video", "maintenance")
@@ -82,9 +84,10 @@ def session_table(
     launcher: Launcher, report: SessionReport, width: int, *, verbose: bool = False
 ) -> Group:
     """The streams, the path to the other machine, inputs, recording and processes."""
-    path = path_line(report)
+    path, now = path_line(report), situation_line(report)
     return Group(
         Text(first_line(launcher, report, width), "bold"),
+        *([Text(now, "yellow")] * bool(now and _runs(launcher))),
         streams_table(report, width, LIVE_COLUMNS),
         *([Text(path, "bold red" if "NOT PROTECTED" in path else "dim")] * bool(path)),
         *(Text(line, "dim") for line in clock_lines(report.gateways)),
@@ -116,6 +119,20 @@ def path_line(report: SessionReport) -> str:
         return ""
     peer = report.gateways[report.end].peer
     return f"{report.end} end alone: {'starting' if peer is None else peer_words(peer)}"
+
+
+def situation_line(report: SessionReport) -> str:
+    """What keeps the hand from moving the robot, and what to do next; empty if nothing does."""
+    told = of_both(*(_situation(report, process) for process in (CONSOLE, SELECTOR)))
+    return "" if told is None or told.may else told.words
+
+
+def _situation(report: SessionReport, process: str) -> Situation | None:
+    newest = report.processes[process].newest if process in report.processes else {}
+    if not newest.get("situation"):
+        return None
+    why, reason, advice = (str(newest[name]) for name in ("situation", "reason", "advice"))
+    return Situation(Why(why), reason, Next.WAIT, advice)
 
 
 def _runs(launcher: Launcher) -> bool:
@@ -191,6 +208,8 @@ def session_line(launcher: Launcher, report: SessionReport) -> str:
     parts += clock_lines(report.gateways)
     if not runs:
         return "  ".join([*parts, "stopped from a page"])
+    if now := situation_line(report):
+        parts.append(now)
     silent = report.processes.items()
     parts += [silence_line(name, each) for name, each in silent if each.silent_s is not None]
     if report.recorder is not None and _is_bad(report.recorder):

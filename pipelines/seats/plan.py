@@ -1,15 +1,16 @@
 """What a seat's pages are sent and may send, derived from the table of the session."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from math import ceil
 
 import numpy as np
 
-from kontur_av.clock import NS_PER_MS, NS_PER_S
+from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
 from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, charts_of
+from pipelines.hand.knowledge import EndTraits
 from pipelines.media.following import board_view
 from pipelines.media.taking_over import preview_size
 from pipelines.seats import texts
@@ -22,11 +23,11 @@ from pipelines.session.mission_messages import (
     ExperimentShown,
     PanelShown,
     RobotStatus,
+    TaskListed,
 )
 from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
-from pipelines.session.situation import SIMULATED
 from pipelines.session.topic import AnyTopic, Topic
 from pipelines.session.topology.rows import Kind
 from pipelines.session.topology.streams import partner_camera, partner_voice
@@ -38,13 +39,13 @@ from pipelines.session.topology.topics import (
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.device.policy import PolicyAxis, policy_axes
+from telepresence.haptics.device.stick_map import pad_controls
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
-from telepresence.haptics.specs import PAGE, is_simulated
+from telepresence.haptics.specs import PAGE
 from telepresence.link.gateway import Backlog
 from telepresence.link.radio.orbit import next_overflight, parse_elements
 from telepresence.link.radio.profile import RadioProfile
-from telepresence.tasks.definitions import Catalogue
 from telepresence.tasks.positions import goal_paths
 from telepresence.tmtc.pus.dictionary import Dictionary
 
@@ -94,8 +95,7 @@ class SeatPlan:
 
     previews: topics with the small pictures of inputs, by their numbers in messages.
     shown: what processes of the mission show here: by kind of text, the topic.
-    device: the joystick's, as `Known` has it. answers_ns: a press is answered within this time.
-    orders: whether its pages may start and stop the session; in space only if it runs here whole.
+    traits: its end's; orders: whether its pages may start and stop the session.
     axes: of the robot, as a policy has them; none where no page moves the joystick.
     """
 
@@ -107,9 +107,7 @@ class SeatPlan:
     backlog_topic: Topic[Backlog]
     text: texts.SeatText
     dictionary: Dictionary
-    orders: bool
-    device: str
-    answers_ns: int
+    traits: EndTraits
     axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
@@ -125,12 +123,12 @@ def seat_plan(
     session: str,
     dictionary: Dictionary,
     *,
-    tasks: Catalogue | None = None,
+    tasks: Sequence[TaskListed] = (),
 ) -> SeatPlan:
     """Return the plan of a segment's seat.
 
     session: the name of the session. dictionary: of its telecommands and telemetry.
-    tasks: what people in space know of the tasks, in a session with some.
+    tasks: what people in space know of them, in a session with some.
     """
     setup = topology.setup
     written = {topic for row in topology.processes for topic in row.writes}
@@ -173,16 +171,11 @@ def seat_plan(
         caps={each.value: topology.link(each).profile.capacity_bps for each in Direction},
         applications=application_texts(dictionary),
         tasks=tasked,
-        task_list=tuple(
-            texts.TaskText(name=task.name, text=task.text)
-            for task in (() if tasks is None else tasks.tasks.values())
-            # What cannot be done here is not offered.
-            if not (task.two_handed and setup.partner_arm != "second")
-            and set(task.cameras) <= set(setup.cameras)
-        ),
+        task_list=tuple(gathered(texts.TaskText, task) for task in tasks),
         views={} if ground else dict(_views(setup)),
         passes=tuple(passes_ahead(setup.radio_profile)) if ground else (),
         exercises=tuple(_exercises(topology)) if topology.options.trainer else (),
+        pad=_pad(topology) if moved else None,
     )
     return SeatPlan(
         segment=segment,
@@ -193,12 +186,20 @@ def seat_plan(
         backlog_topic=topology.link(segment.transmits).backlog_topic,
         dictionary=dictionary,
         shown={kind: topic for kind, topic in _SHOWN[segment].items() if topic in written},
-        orders=ground or len(topology.segments) > 1,
-        device=SIMULATED if is_simulated(topology.options.joystick) else topology.options.joystick,
-        answers_ns=round(setup.safety.hand_max_age_s * NS_PER_S) + setup.round_trip_ns,
+        traits=EndTraits.of(topology, segment),
         axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
         text=text,
     )
+
+
+def _pad(topology: Topology) -> texts.PadText | None:
+    """What a game controller at a page does; None: the usual."""
+    mapping = topology.options.joystick_map
+    if mapping is None:
+        return None
+    controls = pad_controls(mapping, topology.setup.more_axes)
+    axes = tuple(gathered(texts.PadAxisText, axis) for axis in controls.axes)
+    return gathered(texts.PadText, controls, axes=axes)
 
 
 def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:

@@ -1,7 +1,7 @@
 """The process that serves a segment's browser pages."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -21,13 +21,13 @@ from pipelines.seats.seat_topics import SeatDeeds, SeatTopics
 from pipelines.seats.texts import pack_text
 from pipelines.seats.upkeep_watch import UpkeepWatch
 from pipelines.session.access import VIEWER_WORDS, AccessError, AccessKind, Found, Role
+from pipelines.session.mission_messages import TaskListed
 from pipelines.session.page_messages import MOST_SEAT_OCTETS, most_media_octets
 from pipelines.session.process import Context
 from pipelines.session.serving_loop import ServingLoop
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topology.topics import PAGES
 from pipelines.session.web_site import WebSite
-from telepresence.tasks.definitions import Catalogue
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 
@@ -35,7 +35,7 @@ def run_page(
     context: Context,
     *,
     segment: Segment,
-    tasks: Catalogue | None = None,
+    tasks: Sequence[TaskListed] = (),
     files: Mapping[Segment, Path] | None = None,
 ) -> None:
     """Serve the pages of `segment` on the socket that the launcher has bound.
@@ -77,7 +77,7 @@ class PageServer:
         context: Context,
         segment: Segment,
         bus: TopicBus,
-        tasks: Catalogue | None,
+        tasks: Sequence[TaskListed],
         files: Mapping[Segment, Path],
     ) -> None:
         self._context, self._now_ns = context, context.clock.now_ns

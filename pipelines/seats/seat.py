@@ -10,6 +10,7 @@ from msgspec.structs import asdict, replace
 from kontur_av.clock import NS_PER_MS, NS_PER_S, NS_PER_US
 from kontur_av.errors import ProtocolError
 from pipelines.hand.hand_topics import DriverState, HandRequest, JoystickStatus
+from pipelines.hand.knowledge import EndKnowledge
 from pipelines.mission.tmtc_messages import SetValues, TmtcNews, TmtcRequest, Values
 from pipelines.seats import texts
 from pipelines.seats.holders import HandGate, HandleAuthority, JoystickClient, OwnInputs
@@ -27,12 +28,8 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.situation import Known, situation
 from pipelines.session.topology.topics import TRAINER
 from telepresence.haptics.device import states
-from telepresence.haptics.device.functional_test import Outcome
-from telepresence.haptics.device.handle import Drive
 from telepresence.haptics.device.page import PageInput
 from telepresence.haptics.device.policy import PolicyMessage
-from telepresence.haptics.envelope import Hold
-from telepresence.tasks.definitions import ControlMode
 
 
 class PageRequest(NamedTuple):
@@ -59,8 +56,6 @@ SeatEvent = PageInput | DriverState | HandRequest | Order | PageRequest | StopAs
 #: Pages that are open at a time: of viewers, and of all who may act.
 MOST_VIEWERS, MOST_ACTING = 12, 12
 HEARTBEAT_NS = 100 * NS_PER_MS
-#: What has been silent for longer is not heard.
-_HEARD_NS = 2 * NS_PER_S
 #: How often it is told where a policy wants the robot.
 _DRIVER_NS = 50 * NS_PER_MS
 #: How often the telemetry of K2CP is told.
@@ -155,14 +150,7 @@ class Seat:
         self._session: SessionNews | None = None
         self._happened: deque[Event] = deque(maxlen=_MOST_EVENTS)
         self._joystick: texts.JoystickText | None = None
-        #: The newest of joystick, robot, panel and experiment, and when the first two were heard.
-        self._status: JoystickStatus | None = None
-        self._robot: RobotStatus | None = None
-        self._task: PanelShown | ExperimentShown | None = None
-        self._heard_ns = 0
-        #: Since when the dead-man button is held; None: it is not.
-        self._held_ns: int | None = None
-        self._stop: tuple[bool, str] = (False, "")
+        self._knowledge = EndKnowledge(plan.traits)
         self._signal: bool | None = None
         self.camera: str | None = None
         self._due_ns = self._k2cp_ns = 0
@@ -317,14 +305,14 @@ class Seat:
             case texts.HandleRequest():
                 return self._hand_over[request.action](number)
             case texts.SessionRequest():
-                if not self.plan.orders:
+                if not self.plan.traits.orders:
                     return "ground control starts and stops the session"
                 self._events.append(Order(request.action))
                 return ""
             case texts.StopRequest():
                 by = f"the {page.role.words} at the page of {segment.value}"
                 self._events.append(StopAsked(request.action == "stop", by))
-                if request.action == "stop" or self.plan.orders:
+                if request.action == "stop" or self.plan.traits.orders:
                     return ""
                 # The robot is across the radio, and answers there.
                 asked = texts.CommandRequest(
@@ -354,11 +342,7 @@ class Seat:
             dead_man=status.held,
             command_age_ms=_coarse(status.command_age_ms),
         )
-        self._status, self._heard_ns = status, now_ns
-        if not status.held:
-            self._held_ns = None
-        elif self._held_ns is None:
-            self._held_ns = now_ns
+        self._knowledge.handle_told(status, now_ns)
         self._service.handle_status(status)
         self.policy.handle_status(status, now_ns)
         self._settle(now_ns)
@@ -385,15 +369,13 @@ class Seat:
     def handle_shown(self, kind: str, shown: Shown, now_ns: int = 0) -> None:
         """What a process of the mission shows; pages get it with the next heartbeat."""
         self.mission.handle_shown(kind, shown)
-        if isinstance(shown, RobotStatus):
-            self._robot, self._heard_ns = shown, now_ns
-        elif isinstance(shown, PanelShown | ExperimentShown):
-            self._task = shown
+        if isinstance(shown, RobotStatus | PanelShown | ExperimentShown):
+            self._knowledge.handle_told(shown, now_ns)
 
     def handle_stop(self, ordered: bool, by: str, now_ns: int) -> None:
         """Whether an emergency stop is kept on this machine, and who ordered it."""
-        if (ordered, by) != self._stop:
-            self._stop = (ordered, by)
+        if (ordered, by) != self._knowledge.stop:
+            self._knowledge.stop = (ordered, by)
             self._publish_state(now_ns)
 
     def handle_camera(self, camera: str, now_ns: int) -> None:
@@ -488,7 +470,7 @@ class Seat:
                 signal=self._heard,
                 camera=self.camera,
                 joystick=self._joystick,
-                safety=gathered(texts.SafetyText, known, frozen=self._frozen),
+                safety=gathered(texts.SafetyText, known, frozen=self._knowledge.frozen),
                 situation=gathered(texts.SituationText, situation(known)),
                 hand=texts.HandText(
                     holder=self.holder,
@@ -502,79 +484,15 @@ class Seat:
             )
         )
 
-    @property
-    def _frozen(self) -> bool:
-        """Whether a part of the operator's picture is frozen."""
-        if self.plan.segment is Segment.GROUND:
-            return self._robot is not None and self._robot.blind
-        return self._status is not None and self._status.frozen
-
     def _known(self, number: int, now_ns: int) -> Known:
         """What this end knows, for a page."""
-        plan, hand, stop, task = self.plan, self._hand.state, self._stop, self._task
-        fresh = now_ns - self._heard_ns < _HEARD_NS
-        known = Known(
-            seat=plan.segment,
-            role=self._pages[number].role,
-            orders=plan.orders,
-            runs=self._runs,
+        hand = self._hand.state
+        return self._knowledge.known(
+            self._pages[number].role,
+            now_ns,
             connected=self._connected,
-            device=plan.device,
+            runs=self._runs,
             holder=self._hand.name(hand.holder) if hand.holder not in (None, number) else "",
-        )
-        if isinstance(task, ExperimentShown):
-            known = replace(known, panel=task.phase)
-        elif task is not None:
-            known = replace(known, panel=task.mode, panel_words=task.words)
-        if plan.segment is Segment.GROUND:
-            return self._with_robot(known, fresh=fresh)
-        status = self._status
-        if status is None:
-            return replace(known, joystick=None, stopped=stop[0], by=stop[1], answered=False)
-        late = (
-            status.command_age_ms is not None
-            and status.command_age_ms > self.plan.answers_ns / NS_PER_MS
-        )
-        return replace(
-            known,
-            stopped=stop[0] or status.robot_stopped,
-            answered=status.robot_stopped,
-            by=stop[1],
-            joystick=states.JoystickState(status.state).words if fresh else None,
-            says=status.reason,
-            request=status.request,
-            testing=status.test == Outcome.RUNNING.value,
-            held=status.held,
-            taken_up=self._held_ns is None or now_ns - self._held_ns > plan.answers_ns,
-            russian=status.experiment is states.ExperimentName.RUSSIAN,
-            drive=status.drive,
-            waits=status.robot_waits,
-            barred=Hold.PICTURE
-            if status.blind or status.frozen
-            else Hold.AGE
-            if late
-            else Hold.NONE,
-        )
-
-    def _with_robot(self, known: Known, *, fresh: bool) -> Known:
-        """What the ground knows of the robot."""
-        robot, stop = self._robot, self._stop
-        if robot is None:
-            return replace(known, drive="", stopped=stop[0], by=stop[1], answered=False)
-        telepresence = robot.mode is ControlMode.TELEPRESENCE
-        drive: Drive = "off" if not robot.powered else "hand" if telepresence else "own"
-        return replace(
-            known,
-            stopped=stop[0] or robot.stopped,
-            answered=robot.stopped,
-            by=stop[1] or robot.stopped_by,
-            drive=drive if fresh else "",
-            telepresence=telepresence,
-            fault=robot.fault,
-            barred=Hold(robot.barred),
-            waits=robot.waiting,
-            cause=robot.hold,
-            partner=robot.partner == "driven",
         )
 
     def _publish_mission(self) -> None:

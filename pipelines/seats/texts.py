@@ -114,12 +114,35 @@ class ExerciseText(msgspec.Struct, frozen=True, kw_only=True):
     camera: str
 
 
+class PadAxisText(msgspec.Struct, frozen=True, kw_only=True):
+    """What moves an axis on a standard gamepad, as `PadAxis` has it; -1: no control."""
+
+    name: str
+    axis: int
+    up: int
+    down: int
+    scale: float
+    dead_zone: float
+    rate: bool
+
+
+class PadText(msgspec.Struct, frozen=True, kw_only=True):
+    """What a standard gamepad's controls do, as `PadControls` has it; -1: no button."""
+
+    axes: tuple[PadAxisText, ...]
+    dead_man: tuple[int, ...]
+    stop: int
+    hand_over: int
+    panel: tuple[int, ...]
+
+
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     """What does not change at a seat. tasks: whether the session has any.
 
     views: by camera, where the board is in its pictures, as far as it is known: a homography, row
     by row, from (x, y, 1) in metres to shares of the picture's width and height, x right, y down.
-    exercises: of its trainer; none without one.
+    exercises: of its trainer; none without one. pad: what a game controller at the page does; null:
+    the usual.
     """
 
     seat: Segment
@@ -140,6 +163,7 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     task_list: tuple["TaskText", ...] = ()
     views: dict[str, tuple[float, ...]] = {}
     exercises: tuple[ExerciseText, ...] = ()
+    pad: PadText | None = None
 
 
 class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hello"):
@@ -399,10 +423,11 @@ class ApplicationText(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TaskText(msgspec.Struct, frozen=True, kw_only=True):
-    """A task that can be selected. text: for the cosmonaut."""
+    """A task. text: for the cosmonaut. lacks: why it cannot be done here; "" if it can."""
 
     name: str
     text: str
+    lacks: str = ""
 
 
 class PassText(msgspec.Struct, frozen=True, kw_only=True):

@@ -36,6 +36,8 @@ COMMON_ROWS = {
         "--session NAME  which one, where several run; its setup's name will do",
         "--key FILE <Path>  the private key; default: kontur-av/key.pem in the configuration "
         "directory",
+        "--joystick-map FILE.toml <Path>  which control of a game controller moves what, with "
+        "evdev and page (default: the usual)",
         "--inbox FOLDER <Path>  take updates and orders that come here as files",
         "--raw PATH  write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
         "--report FILE <Path>  write the report as JSON",

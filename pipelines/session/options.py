@@ -44,7 +44,7 @@ def _declare(group: str, row: str, default: object = None, **more: object) -> An
     """
     first, row = row.startswith("*"), row.removeprefix("*")
     head, _, text = COMMON_ROWS.get(row, row).rpartition("  ")
-    words = head.replace(",", "").split()
+    words = [word.rstrip(",") for word in head.split()]
     metavar = " ".join(word for word in words if not word.startswith(("-", "<")))
     short = [word for word in words if re.fullmatch("-[a-z]", word)]
     more |= {"group": group, "first": first, "metavar": metavar, "text": text, "short": short}
@@ -71,8 +71,8 @@ class StreamOptions:
     overwrite: bool = _session("replace a recording of that name", False)
     link_frames: bool = _session("record every frame of the radio link, too", False)
     record_cameras: Literal["all", "carried"] | None = _session(
-        "record every camera at its full rate (all, the default if the disk has room for an hour), "
-        "or as the streams carry them, others at 5 Hz (carried)"
+        "every camera at its full rate (all, the default if the disk has room for an hour), or "
+        "those that no stream carries at 5 Hz (carried)"
     )
     part_seconds: float = _session(
         "S  begin a new part of the recording after S seconds (default 600)", 600.0
@@ -88,7 +88,7 @@ class StreamOptions:
         "SPEC  your component in telemetry: module:Class, at both ends; repeatable", ()
     )
     routes: Path | None = _session(
-        "FILE.xml  which data of applications go to your components, or to ground; at both ends"
+        "FILE.xml  which data go to your components, or to ground; at both ends"
     )
     trainer: bool = _session(
         "heed `kontur-av trainer`; with --end space, the radio of both directions is here", False
@@ -112,19 +112,20 @@ class StreamOptions:
         "sim); see `kontur-av joystick list`",
         SIMULATED,
     )
+    joystick_map: Path | None = _robot("--joystick-map")
     second_robot: str = _robot("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT)
     hand: HandMode | None = _robot(
-        "what the hand feels: the robot's delayed force (direct), the wall that the "
-        "robot's side has estimated, rendered at the joystick (mediated), that wall and all other "
-        "force directly (auto), or auto from a round trip of 60 ms on (adaptive, the default)"
+        "what the hand feels: the robot's delayed force (direct), a wall rendered at the joystick "
+        "(mediated), that wall and all other force directly (auto), or auto from a round trip of "
+        "60 ms on (adaptive, the default)"
     )
     force: ForceMode | None = _robot(
-        "the hand feels the robot's force (felt, the default), or nothing (none): then commands go "
-        "at command_hz of the setup, and the pictures have the room"
+        "none: the hand feels nothing; commands go at command_hz of the setup, and pictures have "
+        "the room (default: felt)"
     )
     deadband: Deadband | None = _robot(
-        "leave out haptic samples that nobody would miss; the uplink video gets their room, as a "
-        "higher rate (picture, the default) or a lower delay (latency)",
+        "leave out haptic samples that nobody would miss; the uplink video gets a higher rate "
+        "(picture, the default) or a lower delay (latency)",
         bare="picture",
     )
 
@@ -132,19 +133,19 @@ class StreamOptions:
         f"*PROFILE  {', '.join(RADIOS)} or FILE.toml", rivals=("radio_delay_ms",)
     )
     repair: Repair | None = _radio(
-        "restore lost frames from idle slots (idle), and while losses are reported also from the "
-        "room of pictures that are left out (auto, the default)"
+        "restore lost frames from idle slots (idle), at losses also from the room of pictures "
+        "left out (auto, the default)"
     )
     end: Literal["ground", "space"] | None = _radio(
         "*run this end alone; the other runs on another machine"
     )
     listen: str | None = _radio(
-        "*ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0, or [::], is "
+        "*ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 or [::]: "
         "every address",
         rivals=("peer",),
     )
     peer: str | None = _radio(
-        "*HOST:PORT  with --end: call the other end, which listens there", rivals=("listen",)
+        "*HOST:PORT  with --end: call the other end there", rivals=("listen",)
     )
     radio_start: float | None = _radio(
         "S  begin S seconds after a pass's acquisition of signal (negative: before it)"
@@ -162,17 +163,15 @@ class StreamOptions:
         rivals=("key", "identity", "path_batch_ms", "path"),
     )
     path: PathForm | None = _radio(
-        "with --end: one length of datagram for every slot (slots, the default), or leave out what "
-        "is idle (compact), which shows an eavesdropper how much is sent",
+        "with --end: compact leaves out what is idle, which shows an eavesdropper how much is "
+        "sent; slots, the default, nothing",
         rivals=("insecure",),
     )
     path_batch_ms: int | None = _radio(
-        "MS  with --end: send the frames of 1 (the default), 2 or 4 ms in one datagram",
+        "MS  with --end: frames of 1 (the default), 2 or 4 ms go in one datagram",
         rivals=("insecure",),
     )
-    bypass: bool = _radio(
-        "for tests, with both ends here: join the programs directly, past gateways and radio", False
-    )
+    bypass: bool = _radio("for tests: join the programs directly, past gateways and radio", False)
 
     page: str | bool | None = _pages(
         f"*[HOST:]PORT  where the browser pages are served (default 127.0.0.1:{PAGE_PORT}, or the "
@@ -184,17 +183,14 @@ class StreamOptions:
         "FILE  PEM file with certificate and key for the pages (default: made for the session)"
     )
     rtc: str | None = _pages(
-        "[HOST:]PORT  serve a partner across the Internet by WebRTC: it sees and hears both "
-        f"sides, and is seen and heard at the ground (default 127.0.0.1:{RTC_PORT}); TLS beyond "
-        "loopback",
+        "[HOST:]PORT  serve a partner by WebRTC: it sees and hears both sides, and the ground it "
+        f"(default 127.0.0.1:{RTC_PORT}); TLS beyond loopback",
         bare=RTC_PORT,
     )
     rtc_token_file: Path | None = _pages(
-        "FILE  the partner's token to watch and to send (default: a new one for each session)"
+        "FILE  the partner's token to watch and to send (default: a new one)"
     )
-    rtc_hand_token_file: Path | None = _pages(
-        "FILE  its token to steer (default: a new one for each session)"
-    )
+    rtc_hand_token_file: Path | None = _pages("FILE  its token to steer (default: a new one)")
     ice_server: str | None = _pages(
         "URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media "
         "server names, if there is one)"
@@ -212,8 +208,8 @@ class StreamOptions:
     )
 
     metrics: str | None = _outlets(
-        "*[HOST:]PORT  serve all figures to Prometheus at /metrics, and /healthz (default "
-        "127.0.0.1:9270); everyone who reaches the port can read them",
+        "*[HOST:]PORT  serve figures to Prometheus at /metrics, and /healthz, to everyone who "
+        "reaches the port (default 127.0.0.1:9270)",
         bare="9270",
     )
     foxglove: str | None = _outlets(
@@ -222,18 +218,17 @@ class StreamOptions:
         bare="8765",
     )
     ros2: str | None = _outlets(
-        "*[HOST:]PORT  be a node of a ROS 2 system, by the router of rmw_zenoh at this place "
-        "(default 127.0.0.1:7447), in the domain of ROS_DOMAIN_ID; everyone who reaches the "
-        "router can see and hear the session",
+        "*[HOST:]PORT  be a node of ROS 2, in the domain of ROS_DOMAIN_ID, by the router of "
+        "rmw_zenoh there (default 127.0.0.1:7447); everyone who reaches it sees and hears the "
+        "session",
         bare="7447",
     )
     files: Path | None = _outlets(
-        "*DIR  carry files: the ground's end has DIR/ground, space has DIR/space; see `kontur-av "
-        "file`"
+        "*DIR  carry files between DIR/ground and DIR/space; see `kontur-av file`"
     )
     packets: str | None = _outlets(
-        "tcp:[HOST:]PORT|udp:HOST:PORT  give telemetry to another ground system, and take its "
-        "telecommands: tcp listens; udp sends to PORT, and takes telecommands of HOST at PORT + 1"
+        "tcp:[HOST:]PORT|udp:HOST:PORT  telemetry to another ground system, and its telecommands: "
+        "tcp listens; udp sends to PORT, and takes those of HOST at PORT + 1"
     )
     packets_allow: tuple[str, ...] = _outlets(
         "WHAT  telecommands that may come by --packets: APPLICATION, APPLICATION.FUNCTION or all; "
@@ -241,17 +236,17 @@ class StreamOptions:
         (),
     )
     frames: str | None = _outlets(
-        "udp:HOST:PORT  send copies of the radio link's frames to another ground system: the "
-        "downlink's to PORT, the uplink's to PORT + 1"
+        "udp:HOST:PORT  copies of the link's frames to another ground system: the downlink's to "
+        "PORT, the uplink's to PORT + 1"
     )
     files_rate: str | None = _outlets(
         "UP,DOWN  the most that files take, in kbit/s from the ground and from space (default "
-        f"{FILES_KBPS}); media always go first",
+        f"{FILES_KBPS})",
         like="two numbers, like [8, 200]",
     )
     service: tuple[str, ...] = _outlets(
-        "NAME=PORT  lead TCP connections to PORT of this machine to the other end's service NAME; "
-        "with both ends here, from the ground to space; needs --files; repeatable"
+        "NAME=PORT  lead TCP connections to PORT here to the other end's service NAME (both ends "
+        "here: from the ground); needs --files; repeatable"
     )
     service_allow: tuple[str, ...] = _outlets(
         "NAME=HOST:PORT  let the other end connect to HOST:PORT as service NAME; repeatable"

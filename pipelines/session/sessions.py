@@ -21,6 +21,7 @@ from kontur_av.topics.session_files import (
     sessions,
 )
 from pipelines.session.kept_files import arm_stop
+from pipelines.session.situation import Terminal
 
 
 def new_session_name(setup: str, attempt: int = 0, *, end: str = "") -> str:
@@ -104,10 +105,14 @@ def launched_sessions() -> list[str]:
     return [one for one in sessions() if (session_root(one) / LAUNCHER).exists()]
 
 
+def terminal_of(session: str) -> Terminal:
+    """A terminal's way to a session: its name must be given where others run, too."""
+    return Terminal(session if len(launched_sessions()) > 1 else "")
+
+
 def advised(command: str, session: str) -> str:
-    """The command to give about a session, with its name where others run, too."""
-    named = f" --session {session}" if len(launched_sessions()) > 1 else ""
-    return f"`kontur-av {command}{named}`"
+    """The command to give about a session."""
+    return terminal_of(session).lines(command)
 
 
 def is_alive(session: str) -> bool:

@@ -9,7 +9,7 @@ from argparse import Namespace
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
-from os.path import normpath
+from os.path import isfile, normpath
 from pathlib import Path
 from typing import Any, NamedTuple, get_origin
 
@@ -185,10 +185,11 @@ def _read(path: Path, including: tuple[Path, ...] = ()) -> Settings:
             raise ConfigError(f"include must be a file or a list of files in quotes, not {names!r}")
         files = [Path(normpath(path.parent / Path(name).expanduser())) for name in names]
         for file in files:
+            # `Path.is_file` raises for a name that is too long.
+            if not isfile(file):  # noqa: PTH113
+                raise ConfigError(f"include {file}: there is no such file")
             if file.resolve() in including:
                 raise ConfigError(f"include {file}: it includes this file; take one of them out")
-            if not file.is_file():
-                raise ConfigError(f"include {file}: there is no such file")
         own = {name: Setting(value, str(path)) for name, value in _checked(table, path.parent)}
     for file in files:
         _put(settings, _read(file, including))

@@ -1,10 +1,12 @@
 """The situation: whether the hand may move the robot now, why not, and what to do next. A core.
 
-`situation` answers from all that the server of a seat knows, for one role. Pages and commands
-repeat its sentences. Doing what an advice says changes the state or the sentence, so that who
-follows only the sentences comes to steer.
+`situation` answers from all that an end of a session knows, for one role; `at_terminal` for a
+command line on the machine of one end or both. Pages, telemetry and commands repeat its sentences.
+Doing what an advice says changes the state or the sentence, so that who follows only the sentences
+comes to steer.
 """
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import Literal, NamedTuple
 
@@ -12,8 +14,8 @@ import msgspec
 
 from pipelines.session.access import PEOPLE, Role, refusal
 from pipelines.session.setup.segments import Segment
-from telepresence.haptics.device.handle import Drive
 from telepresence.haptics.envelope import Hold
+from telepresence.haptics.sample import Drive
 
 
 class Why(StrEnum):
@@ -63,8 +65,19 @@ class Next(StrEnum):
 SIMULATED = "simulated"
 
 
+class Terminal(msgspec.Struct, frozen=True):
+    """A command line, which may do what people of both ends may. session: to be named, or ""."""
+
+    session: str = ""
+
+    def lines(self, *commands: str) -> str:
+        """The commands to give, one after the other."""
+        named = f" --session {self.session}" if self.session else ""
+        return ", then ".join(f"`kontur-av {command}{named}`" for command in commands)
+
+
 class Known(msgspec.Struct, frozen=True, kw_only=True):
-    """What the server of a seat knows.
+    """What an end knows, as the server of its seat does.
 
     orders: this seat starts the session, and releases the stop itself. runs: the session does.
     answered: the robot says that it is stopped. by: who ordered the stop, or "".
@@ -77,7 +90,8 @@ class Known(msgspec.Struct, frozen=True, kw_only=True):
     fault: of the robot. barred: why a press does not count now. waits: for a new press. cause: why.
     partner: the partner's robot has the joystick, not ours.
     panel: mode of the panel in space, phase of the experiment on the ground; None without tasks.
-    panel_words: what the panel says.
+    panel_words: what the panel says. offered: a task that can be selected; "": none, or unknown.
+    terminal: what is said is read at one; None: at a page.
     """
 
     seat: Segment
@@ -106,10 +120,12 @@ class Known(msgspec.Struct, frozen=True, kw_only=True):
     partner: bool = False
     panel: str | None = None
     panel_words: str = ""
+    offered: str = ""
+    terminal: Terminal | None = None
 
     def may(self, deed: str) -> bool:
         """Whether the role may do this at its page."""
-        return not refusal(self.role, self.seat, deed)
+        return self.terminal is not None or not refusal(self.role, self.seat, deed)
 
 
 class Situation(NamedTuple):
@@ -119,6 +135,11 @@ class Situation(NamedTuple):
     reason: str
     next: Next
     advice: str
+
+    @property
+    def words(self) -> str:
+        """Reason and advice, for a terminal."""
+        return f"{self.reason}. {self.advice}".rstrip()
 
     @property
     def may(self) -> bool:
@@ -134,6 +155,31 @@ class Situation(NamedTuple):
 def situation(known: Known) -> Situation:
     """Return what holds, by the first of its causes that must end before the others can."""
     return _common(known) or (_at_robot(known) if known.seat is Segment.GROUND else _at_hand(known))
+
+
+def at_end(known: Known, terminal: Terminal) -> Situation:
+    """Return what holds for a terminal, from one end."""
+    return situation(msgspec.structs.replace(known, terminal=terminal))
+
+
+#: What the robot's end knows first.
+_ROBOTS = (Why.STOPPED, Why.ROBOT_SILENT, Why.FAULT, Why.OFF, Why.MODE)
+
+
+def at_terminal(ends: Iterable[Known], terminal: Terminal) -> Situation | None:
+    """Return what holds for a terminal, from the ends that run on its machine; None: none does."""
+    told = {end.seat: at_end(end, terminal) for end in ends}
+    return of_both(told.get(Segment.SPACE), told.get(Segment.GROUND))
+
+
+def of_both(space: Situation | None, ground: Situation | None) -> Situation | None:
+    """Return what holds of what both ends say; None: that end does not run here."""
+    if space is None or ground is None:
+        return space or ground
+    if ground.why is Why.PARTNER:
+        return space
+    robots = ground.why in _ROBOTS or space.why in _ROBOTS
+    return ground if robots or (space.may and not ground.may) else space
 
 
 def _common(known: Known) -> Situation | None:
@@ -158,6 +204,7 @@ def _common(known: Known) -> Situation | None:
 
 
 _LINK_COMES = "Wait: the link comes back by itself, with the signal."
+_PRESSES = "The simulated hand presses by itself."
 _AGAIN = "Wait: its process is started again by itself."
 _ASK_GROUND = "Ask the ground, in the chat, to switch the robot on."
 
@@ -203,7 +250,11 @@ def _at_hand(known: Known) -> Situation:
             )
         why, reason = _not_led(known)
         if known.panel is None:
-            return Situation(why, reason, Next.ASK, _ASK_GROUND)
+            if known.terminal is None:
+                return Situation(why, reason, Next.ASK, _ASK_GROUND)
+            # Nobody here knows whether it has a fault; without one, a reset changes nothing.
+            first = ("reset_error",) if why is Why.OFF else ("power_off", "set_mode telepresence")
+            return _by_robot(known, Situation(why, reason, Next.POWER, ""), "", *first, "power_on")
         # The task switches it on; until then the panel says what is to be done.
         return Situation(why, reason, Next.PANEL, _sentence(known.panel_words or "wait for a task"))
     robot = "the partner's robot" if known.russian else "the robot"
@@ -217,13 +268,15 @@ def _at_hand(known: Known) -> Situation:
                 Why.READY, f"{robot} may follow the hand", Next.WAIT, "Keep it pressed."
             )
         cause = f"{robot} waits for a new press" + _because(known)
+        if known.device == SIMULATED:
+            return Situation(Why.PRESS, cause, Next.WAIT, _PRESSES)
         return _deed(known, Why.PRESS, cause, Next.LET_GO)
     return _ready(known, f"{robot} may follow the hand")
 
 
 def _ready(known: Known, reason: str) -> Situation:
     if known.device == SIMULATED:
-        return Situation(Why.READY, reason, Next.WAIT, "The simulated hand presses by itself.")
+        return Situation(Why.READY, reason, Next.WAIT, _PRESSES)
     if not known.may("hand"):
         return Situation(Why.READY, reason, Next.ASK, "The cosmonaut moves it.")
     if known.device != "page":
@@ -233,6 +286,8 @@ def _ready(known: Known, reason: str) -> Situation:
         advice = f"{known.holder[:1].upper()}{known.holder[1:]} has the handle: press “Ask for it”."
         return Situation(Why.READY, reason, Next.TAKE, advice)
     advice = "Press on the map or the picture and drag; or hold Space and use the arrow keys."
+    if known.terminal is not None:
+        advice = f"At the cosmonaut's page: {advice[0].lower()}{advice[1:]}"
     return Situation(Why.READY, reason, Next.PRESS, advice)
 
 
@@ -262,6 +317,7 @@ def _by_joystick(known: Known, state: str) -> Situation:
         f"joystick.{known.request}",
         Situation(Why.JOYSTICK, reason, Next.JOYSTICK, f"Press “{button}” at Joystick."),
         f"press “{button}” at Joystick",
+        f"tc joystick {known.request}",
     )
 
 
@@ -336,7 +392,15 @@ def _off_at_robot(known: Known) -> Situation:
     first = "" if off else "switch the robot off, "
     then = f"{first}choose the mode telepresence, then switch it on"
     told = Situation(why, reason, Next.MODE, f"At Robot, {then}.")
-    return _ask_or_do(known, "robot.set_mode", told, then)
+    return _by_robot(
+        known, told, then, *(() if off else ("power_off",)), "set_mode telepresence", "power_on"
+    )
+
+
+def _by_robot(known: Known, told: Situation, others: str, *functions: str) -> Situation:
+    """As `_ask_or_do`, by telecommands to the robot."""
+    commands = [f"tc robot {function}" for function in functions]
+    return _ask_or_do(known, "robot.set_mode", told, others, *commands)
 
 
 def _not_led(known: Known) -> tuple[Why, str]:
@@ -349,32 +413,60 @@ def _because(known: Known) -> str:
     return f" ({known.cause})" if known.cause and known.cause != Hold.RELEASED else ""
 
 
-#: By what is to be done: its right, the advice, and what others are asked for.
+class _Deed(NamedTuple):
+    """Its right, the advice, what others are asked for, and the command that does it, if any."""
+
+    right: str
+    advice: str
+    others: str
+    command: str = ""
+
+
 _DEEDS = {
-    Next.RELEASE: (
+    Next.RELEASE: _Deed(
         "robot.release_stop",
         "Press “Release the stop” when nobody is in danger.",
         "release the stop",
+        "stop --release",
     ),
-    Next.START: ("session", "Press “Start session”.", "start the session"),
-    Next.LET_GO: (
+    Next.START: _Deed("session", "Press “Start session”.", "start the session"),
+    Next.LET_GO: _Deed(
         "hand",
         "Let the dead-man button go, then press it.",
         "let the button go, then press it",
     ),
-    Next.RESET: ("robot.reset_error", "Press “Reset error” at Robot.", "reset the robot"),
-    Next.SELECT: ("tasks.select", "Select a task: it switches the robot on.", "select a task"),
-    Next.POWER: ("robot.power_on", "Press “Power on” at Robot.", "switch the robot on"),
+    Next.RESET: _Deed(
+        "robot.reset_error",
+        "Press “Reset error” at Robot.",
+        "reset the robot",
+        "tc robot reset_error",
+    ),
+    Next.SELECT: _Deed(
+        "tasks.select",
+        "Select a task: it switches the robot on.",
+        "select a task",
+        "task select",
+    ),
+    Next.POWER: _Deed(
+        "robot.power_on", "Press “Power on” at Robot.", "switch the robot on", "tc robot power_on"
+    ),
 }
 
 
 def _deed(known: Known, why: Why, reason: str, to_do: Next) -> Situation:
-    deed, advice, others = _DEEDS[to_do]
-    return _ask_or_do(known, deed, Situation(why, reason, to_do, advice), others)
+    deed = _DEEDS[to_do]
+    command = deed.command
+    if to_do is Next.SELECT:
+        command = f"{command} {known.offered}" if known.offered else "task list"
+    told = Situation(why, reason, to_do, deed.advice)
+    return _ask_or_do(known, deed.right, told, deed.others, *([command] if command else []))
 
 
-def _ask_or_do(known: Known, deed: str, told: Situation, others: str) -> Situation:
-    """Advise a deed, or whom of either end to ask for it."""
+def _ask_or_do(known: Known, deed: str, told: Situation, others: str, *commands: str) -> Situation:
+    """Advise a deed, at a terminal by its commands, or whom of either end to ask for it."""
+    if known.terminal is not None and commands:
+        danger = ", when nobody is in danger" if told.next is Next.RELEASE else ""
+        return told._replace(advice=f"Give {known.terminal.lines(*commands)}{danger}.")
     if known.may(deed):
         return told
     who = [role.words for end in Segment for role in PEOPLE[end] if not refusal(role, end, deed)]

@@ -32,6 +32,7 @@ from pipelines.session.probe import Probe
 from pipelines.session.process import wait_ns
 from pipelines.session.session_metrics import ProcessNow
 from pipelines.session.setup.segments import Segment
+from pipelines.session.situation import Terminal
 from pipelines.session.task_journal import LinkMeanwhile
 from pipelines.session.topology.streams import TELECOMMAND, TELEMETRY, maintenance_stream
 from pipelines.session.topology.topics import FILES, PANEL, TASKS
@@ -76,6 +77,7 @@ class SimulatedTmtc:
 
     def __init__(self, scene: Scene, *, handle: Handle | None, silent: bool = False) -> None:
         now_ns, random = scene.start_ns, scene.random("tmtc")
+        self._now_ns = now_ns
         self._agenda, self._gateways, self._robot_state = scene.agenda, scene.gateways, scene.robot
         streams = {Segment.GROUND: TELEMETRY, Segment.SPACE: TELECOMMAND}
         self._send = {
@@ -137,11 +139,18 @@ class SimulatedTmtc:
         else:
             self._joystick_states.append(status)
 
+    def publish(self, segment: Segment, probe: Probe) -> None:
+        """Put the counters and the situation of an end into its probe."""
+        self.ends[segment].publish(probe)
+        probe.publish(self._segments[segment].situation.report(self._now_ns, Terminal()))
+
     def _sample(self, now_ns: int) -> None:
+        self._now_ns = now_ns
         self._agenda.at(now_ns + SAMPLE_NS, self._sample)
         for segment, one in self._segments.items():
             values = self.links[segment] = link_values(self._gateways[segment].report(now_ns))
-            one.gateway.handle_values(values, now_ns)
+            one.handle_link(values, now_ns)
+            one.situation.handle_time(now_ns)
         if (handle := self._handle) is not None:
             status = JoystickStatus(
                 state=handle.state,
@@ -154,6 +163,9 @@ class SimulatedTmtc:
                 temperature_c=handle.temperature_c,
                 x_m=handle.x_m,
                 y_m=handle.y_m,
+                robot_waits=handle.robot_waits,
+                drive=handle.drive,
+                held=handle.dead_man,
             )
             self.handle_status(status)
         for segment in Segment:
@@ -170,10 +182,10 @@ class SimulatedTmtc:
             if (state := self._robot_state()) is not None:
                 one.robot.handle_state(state, now_ns)
             while self._robot_states:
-                one.robot.handle_status(self._robot_states.popleft(), now_ns)
-        elif one.joystick is not None:
+                one.handle_status(self._robot_states.popleft(), now_ns)
+        else:
             while self._joystick_states:
-                one.joystick.handle_status(self._joystick_states.popleft(), now_ns)
+                one.handle_status(self._joystick_states.popleft(), now_ns)
         while (packet := one.end.poll_transmit(now_ns)) is not None:
             if not self._silent:
                 send(packet, now_ns)

@@ -176,8 +176,8 @@ class Simulation:
             handle=end.side.handle if isinstance(end, JoystickEnd) else None,
             silent=self._recorded,
         )
-        telling.add(partial(tmtc.ends[Segment.GROUND].publish, ground_probe))
-        telling.add(partial(tmtc.ends[Segment.SPACE].publish, space_probe))
+        telling.add(partial(tmtc.publish, Segment.GROUND, ground_probe))
+        telling.add(partial(tmtc.publish, Segment.SPACE, space_probe))
         tmtc.subscribe(Segment.GROUND, self._take_asked)
         tmtc.subscribe(Segment.SPACE, self._take_update)
         self._choice_timer = Timer(agenda, self._work_choice)

@@ -24,7 +24,7 @@ from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.mediated.estimator import Residual, WallEstimator
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
-from telepresence.haptics.sample import STATE_HALTED, Command, Feedback
+from telepresence.haptics.sample import STATE_HALTED, Command, Drive, Feedback
 from telepresence.haptics.session import RobotSession
 
 #: Longest interval that one call simulates. After a stall, the rest is dropped.
@@ -66,11 +66,14 @@ class HeldJoystick(Joystick):
 
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
+        self.robot_waits = False
+        self.drive: Drive = ""
         super().__init__(x_m=hand.x_m, y_m=hand.y_m)
 
     def handle_feedback(self, feedback: Feedback | None) -> None:
         """Let the hand know whether the robot is heard, and waits for a press."""
-        waiting = feedback is not None and feedback.waiting
+        self.drive = "" if feedback is None else feedback.drive
+        waiting = self.robot_waits = feedback is not None and feedback.waiting
         self.hand.handle_robot(feedback is not None, waiting, self.x_m, self.y_m)
         self.dead_man = self.hand.dead_man
 

@@ -10,7 +10,7 @@ A greeting or an echo goes in the place of a sample. `session.py` and `echo.py` 
 """
 
 import struct
-from typing import NamedTuple, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 from kontur_av.errors import ProtocolError
 
@@ -105,6 +105,10 @@ class Command(NamedTuple):
     more: tuple[tuple[float, int, bool], ...] = ()
 
 
+#: What drives a robot: the hand, nothing, a mode of its own; "" if nothing is heard of it.
+Drive = Literal["hand", "off", "own", ""]
+
+
 class Feedback(NamedTuple):
     """The force of the environment on the robot's tip, sent to the joystick.
 
@@ -132,6 +136,11 @@ class Feedback(NamedTuple):
     stopped: bool = False
     blind: bool = False
     more: tuple[tuple[float, int, bool], ...] = ()
+
+    @property
+    def drive(self) -> Drive:
+        """What drives the robot."""
+        return "hand" if not self.halted else "off" if self.mode == MODE_OFF else "own"
 
 
 _Sample = TypeVar("_Sample", Command, Feedback)

@@ -25,8 +25,9 @@ from warnings import warn
 from kontur_av.errors import ConfigError
 from kontur_av.parts import PluginRegistry, make_part
 from kontur_av.returned import PartError
-from telepresence.haptics.axes import check_axes, set_up_axes
+from telepresence.haptics.axes import AXIS_NAMES, check_axes, set_up_axes
 from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.stick_map import StickMap, pad_controls
 from telepresence.haptics.device.user import UserJoystick
 from telepresence.haptics.hand import Hand
 from telepresence.haptics.robot import Robot, RobotCapabilities
@@ -52,7 +53,11 @@ JOYSTICK_PLUGINS = PluginRegistry(
 
 
 def open_alone(
-    spec: str, *, hand: Hand | None = None, axes: Sequence[str] | None = ()
+    spec: str,
+    *,
+    hand: Hand | None = None,
+    axes: Sequence[str] | None = (),
+    mapping: StickMap | None = None,
 ) -> JoystickDevice:
     """Open a joystick without a session; ConfigError for one whose hand is in a session only."""
     if spec in (PAGE, ROS2_HAND):
@@ -60,12 +65,12 @@ def open_alone(
             f"joystick {spec}: it is moved in a session only, with `kontur-av stream --joystick "
             f"{spec}`; its mechanics are those of sim: take that"
         )
-    return open_device(spec, hand=hand, axes=axes)
+    return open_device(spec, hand=hand, axes=axes, mapping=mapping)
 
 
-def check_joystick(spec: str, axes: Sequence[str] = ()) -> None:
+def check_joystick(spec: str, axes: Sequence[str] = (), mapping: StickMap | None = None) -> None:
     """Raise ConfigError if `spec` names no joystick with these axes that can be opened now."""
-    open_device(spec, axes=axes).close()
+    open_device(spec, axes=axes, mapping=mapping).close()
 
 
 def is_simulated(spec: str) -> bool:
@@ -74,14 +79,31 @@ def is_simulated(spec: str) -> bool:
 
 
 def open_device(
-    spec: str, *, hand: Hand | None = None, axes: Sequence[str] | None = ()
+    spec: str,
+    *,
+    hand: Hand | None = None,
+    axes: Sequence[str] | None = (),
+    mapping: StickMap | None = None,
 ) -> JoystickDevice:
     """Open the joystick that `spec` names; ConfigError if there is none, or it has other axes.
 
-    hand: holds a simulated joystick in the application. axes: those behind x and y; None: any.
+    hand: holds a simulated joystick in the application. axes: those behind x and y; None: any, of a
+    mapping all that it names. mapping: which control of a game controller moves what.
     """
-    device: JoystickDevice = make_part(spec, JOYSTICK_PLUGINS, hand=hand, axes=axes or ())
-    if spec.partition(":")[0] not in JOYSTICK_PLUGINS.built_in:
+    kind, more = spec.partition(":")[0], axes
+    if mapping is not None:
+        if kind not in (GAME_CONTROLLER, PAGE):
+            raise ConfigError(
+                f"joystick {spec}: a joystick map is for evdev and page: leave it out"
+            )
+        if kind == PAGE:
+            pad_controls(mapping, axes or ())
+        if axes is None:
+            more = [name for name in AXIS_NAMES if name in mapping.axis]
+    device: JoystickDevice = make_part(
+        spec, JOYSTICK_PLUGINS, hand=hand, axes=more or (), mapping=mapping
+    )
+    if kind not in JOYSTICK_PLUGINS.built_in:
         _take_former_name(device)
         try:
             device = UserJoystick(device)

@@ -265,6 +265,11 @@ class Task:
         """Whether it needs the partner's arm, too."""
         return any(isinstance(op, Meet | HoldBall) for op in self.exec.elemops)
 
+    @property
+    def by_force(self) -> bool:
+        """Whether it ends by a force that the robot measures."""
+        return any(isinstance(op, Meet | Pull) for op in self.exec.elemops)
+
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:

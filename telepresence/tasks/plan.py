@@ -6,7 +6,7 @@ from itertools import islice
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError
-from telepresence.tasks.definitions import Catalogue
+from telepresence.tasks.definitions import Catalogue, Task
 
 #: Between a contact or the end of a run, and the next selection.
 PAUSE_NS = 3 * NS_PER_S
@@ -16,6 +16,37 @@ NEEDS_TWO_HANDS = (
     'needs two hands that meet: a session with partner_arm = "second", and a robot that says so '
     "(--robot, --second-robot)"
 )
+
+
+NEEDS_FORCE = "needs a robot that measures the force of its surroundings (--robot)"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TaskWorld:
+    """What is there to do tasks with.
+
+    cameras: of the setup `setup`; None: any. two_hands: the robot's hand can meet that of the
+    partner's arm. measures: the robot measures the force of its surroundings.
+    """
+
+    cameras: tuple[str, ...] | None = None
+    setup: str = ""
+    two_hands: bool = False
+    measures: bool = True
+
+    def lacks(self, task: Task) -> str:
+        """Return why a task cannot be done here, as what "it" needs; "" if it can."""
+        if task.two_handed and not self.two_hands:
+            return NEEDS_TWO_HANDS
+        if task.by_force and not self.measures:
+            return NEEDS_FORCE
+        for camera in () if self.cameras is None else task.cameras:
+            if camera not in (cameras := self.cameras or ()):
+                return (
+                    f"selects the camera {camera}, and setup {self.setup} has "
+                    f"{', '.join(cameras)}: take another setup, or give it the camera"
+                )
+        return ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -47,21 +78,11 @@ class SessionPlan:
         if not 0.0 <= self.skill <= 1.0:
             raise ConfigError(f"skill is {self.skill:g}: give 0, a beginner, to 1, trained")
 
-    def check(
-        self, catalogue: Catalogue, cameras: tuple[str, ...], setup: str, *, two_hands: bool = False
-    ) -> None:
-        """ConfigError for a task that is unknown, or needs a camera that the setup lacks, or two
-        hands.
-        """
+    def check(self, catalogue: Catalogue, world: TaskWorld) -> None:
+        """ConfigError for a task that is unknown, or cannot be done there."""
         for planned in self.tasks:
-            if catalogue.task(planned.name).two_handed and not two_hands:
-                raise ConfigError(f"task {planned.name} {NEEDS_TWO_HANDS}")
-            for camera in catalogue.task(planned.name).cameras:
-                if camera not in cameras:
-                    raise ConfigError(
-                        f"task {planned.name} selects the camera {camera}, and setup {setup} has "
-                        f"{', '.join(cameras)}: take another setup, or give it the camera"
-                    )
+            if lacks := world.lacks(catalogue.task(planned.name)):
+                raise ConfigError(f"task {planned.name} {lacks}")
 
     def names(self) -> Iterator[str]:
         """The tasks, as often as they are done."""

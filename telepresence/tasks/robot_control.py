@@ -140,7 +140,7 @@ class RobotControl:
     def set_power(self, on: bool) -> str:
         """Switch on, in the chosen mode, or off."""
         if on and self.stopped:
-            return self._refuse("an emergency stop holds the robot: `kontur-av stop --release`")
+            return self._refuse("an emergency stop holds the robot: release it first")
         if on and self.left_out:
             return self._refuse(self.left_out)
         if on and self.fault:

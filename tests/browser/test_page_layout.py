@@ -15,6 +15,7 @@ import pytest
 from positions import ROOT
 
 from kontur_av.clock import NS_PER_S
+from pipelines.mission.mission import listed_tasks
 from pipelines.mission.tmtc_messages import Reported
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
@@ -25,7 +26,6 @@ from pipelines.session.mission_messages import (
     PanelShown,
     RobotStatus,
     RunShown,
-    TaskListed,
 )
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
@@ -36,7 +36,7 @@ from pipelines.study.trials import StudyPhase, StudyPress, StudyTrials
 from pipelines.table import topology_of
 from telepresence.haptics.device.page import PageDevice
 from telepresence.tasks.definitions import ControlMode
-from telepresence.tasks.plan import NEEDS_TWO_HANDS
+from telepresence.tasks.plan import TaskWorld
 from telepresence.tasks.task_files import built_in_tasks
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
@@ -109,6 +109,13 @@ SERIOUS = """
     return violations
       .filter(({ impact }) => ["serious", "critical"].includes(impact))
       .map(({ id, nodes }) => `${id}: ${nodes.map(({ html }) => html).join(" ")}`);
+"""
+#: What of these is not wholly in the window.
+HIDDEN = """
+    const inside = ({ top, bottom }) => top >= -1 && bottom <= innerHeight + 1;
+    return [...document.querySelectorAll(arguments[0])]
+      .filter((one) => one.checkVisibility() && !inside(one.getBoundingClientRect()))
+      .map(({ localName, id }) => `${localName} ${id}`);
 """
 TABS = "return [...document.querySelectorAll('[role=tab]')].map(({ id }) => id)"
 REASON = "the robot has a fault: a drive reports a fault"
@@ -197,13 +204,10 @@ def texts_of(segment, *, connected):
     """What a page is told in the middle of a session with tasks, with the longest words."""
     catalogue = built_in_tasks()
     topology = topology_of(BUILT_IN["spacejustin"], pages=True, tasks=True, trainer=True)
-    plan = seat_plan(topology, segment, "x", built_in_dictionary(), tasks=catalogue)
+    listed = listed_tasks(catalogue, TaskWorld())
+    plan = seat_plan(topology, segment, "x", built_in_dictionary(), tasks=listed)
     seat = Seat(plan, first_command=1)
     if segment is Segment.GROUND:
-        listed = tuple(
-            TaskListed(one.name, one.text, NEEDS_TWO_HANDS if one.two_handed else "")
-            for one in catalogue.tasks.values()
-        )
         runs = (RunShown("handshake", 12, "aborted", REASON, 12.5),)
         task = {"phase": "running", "task": "handshake", "run": 13, "elemop": "followContour"}
         experiment = ExperimentShown(**task, panel="press_deadman", tasks=listed, runs=runs)
@@ -340,6 +344,44 @@ def test_a_parameter_that_only_functions_are_given_has_no_row(told):
     shown = {row.get_attribute("data-parameter") for row in rows if not row.get_property("hidden")}
     assert "joystick.state" in shown
     assert not {"ground_supervisor.process", "space_supervisor.process", "tasks.task"} & shown
+
+
+def test_parameters_that_never_came_are_one_row_until_a_person_opens_it(told):
+    page = told("k2cp", texts_of(Segment.SPACE, connected=True))
+    rows = (
+        "[...document.querySelectorAll('tr[data-parameter]')].filter((row) => !row.hidden).length"
+    )
+    few = page.run(f"return {rows}")
+    fold = page.find(".fold")
+    (count,) = [int(word) for word in fold.text.split() if word.isdigit()]
+    fold.click()
+    assert page.run(f"return {rows}") == few + count > few > 0
+
+
+def test_a_low_screen_shows_contact_ages_and_stop_without_a_scroll(told):
+    for name, segment, shown in (
+        ("space", Segment.SPACE, "contact-panel, senses-panel, joystick-panel, hand-panel"),
+        ("ground", Segment.GROUND, "contact-band, figure, tab-group"),
+    ):
+        page = told(name, [*texts_of(segment, connected=True), metrics_of(connected=True)])
+        for height in (720, 800, 900):
+            page.fit(1280, height)
+            hidden = page.run(HIDDEN, f"button.emergency, #show-keys, {shown}")
+            assert (name, height, hidden) == (name, height, [])
+
+
+def test_what_leads_on_at_the_robot_is_a_button_where_it_is_advised(told):
+    texts = texts_of(Segment.GROUND, connected=True)
+    for next_step, why, words in (
+        ("power on", "robot off", "Power on"),
+        ("power off, set mode", "robot mode", "Power off"),
+        ("power off, set mode", "robot off", "Set mode telepresence"),
+        ("wait", "robot off", ""),
+    ):
+        state = next(text for text in texts if text["kind"] == "state")
+        state["situation"] |= {"next": next_step, "why": why}
+        page = told("ground", texts)
+        assert page.find("[data-stop=robot]").text == words
 
 
 def test_no_page_says_that_a_server_is_silent_which_is_heard_again(told):

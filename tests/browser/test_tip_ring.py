@@ -1,4 +1,4 @@
-"""The ring over an old picture: at the tip that the hand commands, and only where it helps."""
+"""The ring over an old picture: at the tip that the hand commands."""
 
 from contextlib import ExitStack
 from itertools import cycle
@@ -21,7 +21,6 @@ MAP = ".workspace-map"
 NEAR_PX, FAR_PX = 4, 12
 #: A robot that moves less in 0.3 s is at rest; one that moved so far was led.
 REST_M, MOVED_M = 2e-4, 5e-3
-NOTHING = None, False, ""
 OVERLAY = """
     const overlay = document.querySelector("board-overlay");
     const [picture, canvas] = [document.querySelector("#picture"), overlay.querySelector("canvas")];
@@ -154,15 +153,3 @@ def test_at_a_long_round_trip_the_ring_is_where_the_tip_will_be(sit):
         return seat.overlay()["tip"]
 
     eventually(shown, "the ring again")
-
-
-def test_at_a_short_round_trip_there_is_no_ring(sit):
-    seat = sit()
-    seat.lead(-40)
-
-    def plain():
-        seat.hold()
-        overlay = seat.overlay()
-        return seat.steers() and (overlay["tip"], overlay["drawn"], overlay["note"]) == NOTHING
-
-    eventually(plain, "a picture without a ring in a hand that steers")

@@ -16,7 +16,7 @@ import pytest
 from common import TIMEOUT_S, WORKER, eventually, free_port
 
 from kontur_av.topics.bus import TopicBus
-from kontur_av.topics.session_files import shared_memory
+from kontur_av.topics.session_files import SHARED_MEMORY, shared_memory
 from pipelines.session.command_process import end_with_parent
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import PORTS, RtcLeg
@@ -126,8 +126,8 @@ class RunningSession:
         """Start the command with these words, which runs these processes."""
         self.directory = Path(directory)
         self.report_path = self.directory / "report.json"
-        # Short, because the path of a Unix socket has at most 107 octets.
-        self.temporary = Path(tempfile.mkdtemp(prefix="kav"))
+        # Short, because the path of a Unix socket has at most 107 octets; no disk can stall it.
+        self.temporary = Path(tempfile.mkdtemp(prefix="kav", dir=SHARED_MEMORY))
         self.base_port = free_base_port()
         self.environment = {**os.environ, "TMPDIR": str(self.temporary), "COLUMNS": "2000"}
         # A test's next session has the robot of the one before, and its stop.
@@ -316,3 +316,22 @@ def assert_sound(report):
     for direction, link in report["link"].items():
         octets = sum(link["octets"].values())
         assert octets == profiles[direction] * link["frames"] > 0, direction
+
+
+def assert_nothing_lost_in_contact(report):
+    """Nothing is lost but in a loss of signal, which a host causes that stops for 50 ms.
+
+    Waiting packets are then dropped on purpose, and packets on the link lose some or all parts.
+    Return how often the signal was lost.
+    """
+    gateways = report["gateways"].values()
+    contacts_lost = sum(end["supervision"]["counts"]["signals_lost"] for end in gateways)
+    for direction, link in report["link"].items():
+        waiting = sum(queue["drops"]["signal_lost"] for queue in link["queue"].values())
+        in_part = link["packets_dropped"].get("incomplete", 0)
+        assert set(link["packets_dropped"]) <= {"incomplete"}, direction
+        assert contacts_lost or waiting == in_part == 0, direction
+        streams = [s for name, s in report["streams"].items() if name.startswith(direction)]
+        assert len(streams) == 2
+        assert sum(stream["rtp_lost"] for stream in streams) <= waiting + in_part + contacts_lost
+    return contacts_lost

@@ -143,23 +143,27 @@ def part_path(path, part):
     return path if part == 1 else path.with_name(f"{path.stem}-{part}{path.suffix}")
 
 
-def write_recording(path, *, seconds=3.0, parts=1, link_frames=False, end=True):
-    """Write a recording of equally long parts; end: the last part has its summary."""
+def write_recording(
+    path, *, seconds=3.0, parts=1, link_frames=False, end=True, components=(), more=()
+):
+    """Write a recording of equally long parts; end: the last part has its summary.
+
+    components: of the session. more: further messages.
+    """
     begins = tuple(BEGIN_NS + round(part * seconds * S / parts) for part in range(parts))
     units = {
         name: coded(cap, seconds, begins, number)
         for number, (name, cap) in enumerate((VIDEO | {CAMERA: CAMERA_BPS}).items())
     }
     haptics, contacts = haptic_cycles(seconds)
-    rows = {
-        row.topic: row
-        for row in channels_of(topology_of(BUILT_IN["spacejustin"]), link_frames=link_frames)
-    }
+    topology = topology_of(BUILT_IN["spacejustin"], components=components)
+    rows = {row.topic: row for row in channels_of(topology, link_frames=link_frames)}
     messages = [
         *media_messages(units, seconds),
         *haptic_messages(haptics),
         *command_messages(seconds, contacts),
         *link_messages(seconds, link_frames),
+        *more,
     ]
     # By the part of the instant of capture, so that a part begins with its key pictures.
     messages.sort(key=lambda told: told.publish_ns)

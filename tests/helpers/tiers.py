@@ -65,12 +65,12 @@ _JOURNEYS = {
         test_send_receive.py::test_we_play_what_gstreamer_sends[h264-none]
         """,
 }
-#: Modules of tests/realtime that mostly wait.
+#: Modules of tests/realtime that mostly wait. None has a whole session, or this lane would go on
+#: for minutes after the other one.
 _WAITING = """
-    test_bench_all_run test_bench_children test_bench_console test_bench_video_run
-    test_command_output test_files test_fresh_process test_launcher test_link_command
-    test_loudspeaker test_maintain test_metrics test_readme_commands test_recipes
-    test_remote_update test_rtc_peers test_services test_upkeep test_whip_client
+    test_bench_all_run test_bench_children test_bench_console test_command_output
+    test_fresh_process test_launcher test_loudspeaker test_readme_commands test_recipes
+    test_rtc_peers test_upkeep test_whip_client
 """
 
 #: Long courses on virtual time.
@@ -154,9 +154,29 @@ def pytest_xdist_make_scheduler(config, log):
     return Lanes(config, log)
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With `--skip-default`: a file that has no test of the full tier is not even imported."""
+    if not (config.option.full and config.option.skip_default) or collection_path.suffix != ".py":
+        return None
+    where = collection_path.relative_to(config.rootpath).as_posix() + "::"
+    if not row_of(where).default or any(row.where.startswith(where) for row in TABLE):
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    return None if any(name in text for name in FULL_FIXTURES) else True
+
+
+def _place(item: pytest.Item) -> tuple[Lane, bool]:
+    """What runs alone comes last in its lane, when the other lanes are through.
+
+    Before it, a test of another lane would run, alone too, in each gap between two of them.
+    """
+    row = row_of(item.nodeid)
+    return row.lane, row.alone
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: row_of(item.nodeid).lane)
+    items.sort(key=_place)
     for item in items:
         fixtures = FULL_FIXTURES.intersection(getattr(item, "fixturenames", ()))
         if fixtures or not row_of(item.nodeid).default:

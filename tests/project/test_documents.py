@@ -16,7 +16,7 @@ MOST_WORDS = 47_000
 MOST_LINES = 100
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*PAGES, *EXPERIMENTS], ids=lambda page: page.stem)
 def test_a_page_names_its_reader_and_its_question_first(page):
     assert all(purpose(page.read_text(encoding="utf-8")))
 

@@ -101,6 +101,9 @@ def test_a_lane_runs_one_test_at_a_time_and_others_leave_it_the_machine(run):
     workers = {room: {pid for test, pid in begun.items() if room in test} for room in rooms}
     assert len(workers["browser"]) == 1 and workers["browser"] == workers["realtime"]
     assert len(workers["interop"]) == 1 and workers["interop"] != workers["browser"]
+    # What has the machine alone comes last.
+    lane = [test.split("/")[1] for test in begun if "browser" in test or "realtime" in test]
+    assert lane == ["realtime"] * 3 + ["browser"] * 3
     nice = {room: {n for what, t, n in events if what == "end" and room in t} for room in rooms}
     assert nice["unit"] == {"19"}
     # Those of the lanes keep the priority that pytest was started with.

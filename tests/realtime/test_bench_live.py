@@ -9,7 +9,7 @@ from pipelines.cli import main
 
 def test_latency_is_measured_live_beside_virtual_time(tmp_path):
     report = tmp_path / "r.json"
-    words = ["bench", "latency", "--seconds", "1", "--live-seconds", "10", "--load", "1"]
+    words = ["bench", "latency", "--seconds", "1", "--live-seconds", "8", "--load", "1"]
     words += ["--base-port", str(free_base_port()), "--report", str(report)]
     assert main(words) == 0
     leads = json.loads(report.read_text())["leads"]

@@ -40,6 +40,6 @@ def test_the_page_and_its_peer_show_numbered_pictures(tmp_path):
 
     units = coded(40 * FPS)
     for who in (OURS, PEER):
-        run, delays_ms = measured(who, 1, units, 6.0)
+        run, delays_ms = measured(who, 1, units, 3.0)
         assert run.seen > 0, who
         assert min(delays_ms) > 0

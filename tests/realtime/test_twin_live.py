@@ -15,8 +15,7 @@ LOSSES = "delay_ms = 10.0\nframe_loss = 0.01\n"
 LOST = 'delay_ms = 10.0\n[[blackouts]]\nstart_s = 6.0\nseconds = 2.0\ndirection = "uplink"\n'
 #: By name: what the radio file says, or options; and seconds.
 SCENES = {
-    "clean": ("delay_ms = 10.0\n", 8),
-    "losses": (LOSSES, 14),
+    "losses": (LOSSES, 9),
     "lost uplink": (LOST, 11),
     "end of a pass": (("--radio", "iss-pass", "--radio-start", "584"), 14),
 }

@@ -1,22 +1,28 @@
 """Two newcomers, who do only what the sentences of their seats say, come to steer: real cores."""
 
 import json
+import re
 
 from common import first_seed, repeats
 from random_ends import MS, Ends
 
 from pipelines.hand.hand_topics import RobotOrders
 from pipelines.hand.robot_commands import JoystickStatusTeller, RobotCommands
+from pipelines.mission.tmtc_messages import command_from_words
 from pipelines.seats.plan import seat_plan
 from pipelines.seats.seat import Seat
 from pipelines.session.access import Role
+from pipelines.session.mission_messages import RobotCommand
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.session.situation import Terminal, at_terminal
 from pipelines.table import topology_of
 from telepresence.haptics.device.states import JoystickEvent
 from telepresence.haptics.envelope import Hold
+from telepresence.tasks.definitions import ControlMode
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
+DICTIONARY = built_in_dictionary()
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True, joystick="page")
 LOOK_MS, REACTS_MS, RELEASED_MS = 100, 300, 400
 DEEDS = ("power", "fault", "mode", "halt", "stop")
@@ -24,7 +30,7 @@ DEEDS = ("power", "fault", "mode", "halt", "stop")
 
 class SeatPage:
     def __init__(self, segment):
-        plan = seat_plan(TOPOLOGY, segment, "session", built_in_dictionary())
+        plan = seat_plan(TOPOLOGY, segment, "session", DICTIONARY)
         self.seat = Seat(plan, first_command=1)
         self.page = self.seat.handle_opened(Role.OPERATOR, 0)
 
@@ -44,11 +50,13 @@ class NewcomerEnds(Ends):
     def __init__(self, seed):
         self.service, self.orders = None, RobotOrders(powered=True, mode="telepresence")
         super().__init__(seed)
+        #: At a terminal one reads and types, and a person at the handle only presses.
+        self.terminal = seed % 2 == 1
         self.follows = False
         self.seats = {segment: SeatPage(segment) for segment in Segment}
         self.read = []
         self.press_at = self.steered_at = -1
-        self.acted_ms = dict.fromkeys(Segment, 0)
+        self.acted_ms, self.typed_ms = dict.fromkeys(Segment, 0), 0
 
     def start_joystick(self):
         super().start_joystick()
@@ -119,8 +127,31 @@ class NewcomerEnds(Ends):
         for segment, seat in self.seats.items():
             told = seat.says(now_ns, link)
             self.check(segment, told, link)
-            if self.follows:
+            presses = told["next"] in ("press", "let go, then press", "steer")
+            if self.follows and (presses or not self.terminal):
                 self.do(segment, told, now_ms)
+        ends = [each.seat._known(each.page, now_ns) for each in self.seats.values()]
+        told = at_terminal(ends, Terminal())
+        if self.follows and self.terminal and now_ms - self.typed_ms >= REACTS_MS:
+            self.typed_ms = now_ms
+            self.read.append((now_ms, "terminal", told.why, told.next, told.words))
+            self.type(told.advice, now_ns)
+
+    def type(self, advice, now_ns):
+        """Give the command lines of an advice."""
+        for line in re.findall("`kontur-av (.*?)`", advice):
+            if line == "stop --release":
+                self.asserted_until = self.now_ms
+                self.envelope.handle_stop_released(now_ns)
+                continue
+            _, name, *words = line.split()
+            sent = command_from_words(DICTIONARY.application(name), words, client="", number=0)
+            if name == "joystick":
+                assert self.handle.handle_command(JoystickEvent(sent.name)) == "", line
+                continue
+            command = RobotCommand(1, sent.name, *map(ControlMode, sent.arguments))
+            self.service.handle_command(command, now_ns, now_ns)
+            assert self.service.status(now_ns).command_refusal == "", line
 
     def check(self, segment, told, link):
         if told["why"] == "follows":

@@ -8,7 +8,7 @@ from pipelines.report.model import SessionReport, from_json, to_json
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.task_journal import STEPS
 from pipelines.virtual.simulate import simulate
-from telepresence.tasks.plan import PlanFollower
+from telepresence.tasks.plan import PlanFollower, TaskWorld
 from telepresence.tasks.task_files import load_plan
 
 PLAN = '[[task]]\nname = "aiming"\n[[task]]\nname = "line"\n'
@@ -70,7 +70,7 @@ def test_mistakes_in_a_plan_are_named(tmp_path, text, words):
 def test_a_camera_that_a_task_needs_and_the_setup_lacks_is_named(tmp_path):
     plan, catalogue = plan_of(tmp_path, PLAN)
     with pytest.raises(ConfigError, match="task aiming selects the camera stereo"):
-        plan.check(catalogue, ("head",), "lab")
+        plan.check(catalogue, TaskWorld(cameras=("head",), setup="lab"))
 
 
 def test_a_task_is_selected_once_contact_and_robot_have_been_free_for_a_while(tmp_path):

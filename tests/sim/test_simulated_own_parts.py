@@ -1,9 +1,10 @@
-"""A user's robot and joystick in a whole session on virtual time."""
+"""A user's robot and joystick, or a faulty one, in a whole session on virtual time."""
 
 from user_parts import load
 
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.virtual.simulate import simulate
+from telepresence.haptics.device.simulated import FAULTS, SimulatedDevice
 from telepresence.haptics.robot_device import DrivenRobot
 
 own_robot, own_joystick = load("own_robot.py"), load("own_joystick.py")
@@ -33,3 +34,11 @@ def test_the_hand_leads_the_robot_to_its_wall_at_any_delay():
     assert report.joystick.device == "a lever"
     assert 1.0 < robot.most_n <= own_robot.Mass.capabilities.force_limit_n
     assert report.safety.presses == 1
+
+
+def test_a_failed_calibration_fails_the_session():
+    stuck = SimulatedDevice(FAULTS["stuck-x"])
+    report = simulate(load_setup("taskboard"), seconds=8, seed=1, media=False, joystick=stuck)
+    reason = "joystick: calibration error: axis x moves by ±0 mm"
+    assert [failure[: len(reason)] for failure in report.failures] == [reason]
+    assert report.joystick.state == "calibration error"

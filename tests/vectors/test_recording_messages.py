@@ -18,6 +18,7 @@ from pipelines.recording.recorded_messages import (
     LinkSent,
     LogLevel,
     LogLine,
+    ParameterValue,
     QueueState,
     RecordedDriver,
     RecordedEvent,
@@ -28,6 +29,7 @@ from pipelines.recording.recorded_messages import (
     RecordedMetrics,
     RecordedPacket,
     RecordedPanel,
+    RecordedParameters,
     RecordedPicture,
     RecordedSound,
     RecorderLosses,
@@ -166,6 +168,12 @@ VECTORS = [
     (
         "0801 | 120c 0a0161 11000000000000f83f",
         RecordedMetrics(session_ns=1, metrics=(RecordedFigure(name="a", number=1.5, text=""),)),
+    ),
+    (
+        "0801 | 120f 0a0161 120156 19000000000000f83f",
+        RecordedParameters(
+            session_ns=1, values=(ParameterValue(name="a", unit="V", number=1.5, text=""),)
+        ),
     ),
 ]
 # Packed: 1 in 8 octets | -1 | 1.0 | -2.0 | 0.5 | 0.0 | 8.0 | state 3, LED 1 lit, contact

@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { load } from "./modules.mjs";
 
-const { ageTile, experimentWords, follows, handTile, joystickWords, linkTile, panelShown, robotWords } = await load("conditions.js");
+const { ageTile, boardOf, experimentWords, follows, handTile, joystickWords, linkTile, panelShown, robotWords } = await load("conditions.js");
 const { Telemetry, systemSays } = await load("telemetry.js");
 const { PANEL_WORDS, PHASE_WORDS, commandText } = await load("mission_words.js");
 
@@ -273,6 +273,9 @@ test("a functional test is no lack of motion, and a frozen part of a picture is 
   assert.match(robotWords(page).words, /tests itself\. Hold the button/);
   const young = { ageMs: 120, stale: false };
   assert.equal(ageTile(page, young).level, "good");
+  page.state.joystick = { ...page.state.joystick, state: "application", experiment: "russian experiment" };
+  assert.deepEqual(ageTile(page, young), { label: "Picture: our robot's", value: "120 ms", level: "warn" });
+  assert.equal(boardOf(page, { wall_x_m: 0.1, leds_m: [[0, 0]] }).wall_x_m, null);
   page.state.safety.frozen = true;
   assert.deepEqual(ageTile(page, young), { label: "Picture: a part is frozen", value: "120 ms", level: "bad" });
 });

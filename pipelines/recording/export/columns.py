@@ -4,7 +4,8 @@ Every channel is a table, every message a row; of haptic samples and transfer fr
 and frame. A column is an array of numbers or a list of texts. Its name has its unit.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -100,7 +101,8 @@ def _near(instants_ns: NDArray[np.int64], message_ns: int) -> NDArray[np.int64]:
 def joined(blocks: Iterable[Rows]) -> Columns:
     """Return the columns of many rows, in order.
 
-    A column that a block lacks is 0, False or "" there: a figure that was not counted yet.
+    A column that a block lacks is 0, False or "" there: a figure that was not counted yet. A number
+    of 64-bit floating point is NaN: a parameter that the report does not have.
     """
     blocks = list(blocks)
     names = list(dict.fromkeys(name for block in blocks for name in block))
@@ -110,9 +112,10 @@ def joined(blocks: Iterable[Rows]) -> Columns:
 def _joined_column(name: str, blocks: Sequence[Rows]) -> Column:
     kind = next(block[name] for block in blocks if name in block)
     if isinstance(kind, np.ndarray):
+        none = np.nan if kind.dtype == np.float64 else 0
         return np.concatenate(
             [
-                block[name] if name in block else np.zeros(len(block["time_s"]), kind.dtype)
+                block[name] if name in block else np.full(len(block["time_s"]), none, kind.dtype)
                 for block in blocks
             ]
         )
@@ -202,11 +205,24 @@ def _each_part(message: JoinedMessage) -> tuple[list[int], Rows]:
     return [parsed.session_ns] * len(parts), rows
 
 
+def _parameters(message: JoinedMessage) -> tuple[list[int], Rows]:
+    """A column for each parameter: its name, with its unit behind it."""
+    told = messages.unpack(messages.RecordedParameters, message.data)
+    rows: _NewRows = {}
+    for one in told.values:
+        unit = identifier(one.unit.replace("%", "percent").replace("°", "deg")).strip("_")
+        name = f"{one.name}_{unit}" if unit else one.name
+        name = variable_name(name, rows)
+        rows[name] = [one.text] if isnan(one.number) and one.text else np.array([one.number])
+    return [told.session_ns], rows
+
+
 _SPECIAL: Mapping[str, Callable[[JoinedMessage], tuple[Any, Rows]]] = {
     messages.HAPTIC_SAMPLES.full_name: _haptics,
     messages.TRANSFER_FRAMES.full_name: _frames,
     messages.LOSSES.full_name: _each_part,
     messages.METRICS.full_name: _each_part,
+    messages.PARAMETERS.full_name: _parameters,
 }
 
 
@@ -224,14 +240,18 @@ def table_names(topics: Iterable[str], taken: Iterable[str] = ()) -> dict[str, s
     names: dict[str, str] = {}
     used = {*taken}
     for topic in sorted(topics):
-        plain = identifier(topic.strip("/"))
-        if not plain[:1].isalpha() or f" {plain} " in _KEYWORDS:
-            plain = f"x_{plain}"
-        plain = name = plain[:_LONGEST_NAME]
-        number = 2
-        while name in used:
-            ending = f"_{number}"
-            name, number = plain[: _LONGEST_NAME - len(ending)] + ending, number + 1
+        names[topic] = name = variable_name(identifier(topic.strip("/")), used)
         used.add(name)
-        names[topic] = name
     return names
+
+
+def variable_name(plain: str, used: Container[str]) -> str:
+    """Return a name as MATLAB permits it for variables, with a number if it is in use."""
+    if not plain[:1].isalpha() or f" {plain} " in _KEYWORDS:
+        plain = f"x_{plain}"
+    plain = name = plain[:_LONGEST_NAME]
+    number = 2
+    while name in used:
+        ending = f"_{number}"
+        name, number = plain[: _LONGEST_NAME - len(ending)] + ending, number + 1
+    return name

@@ -35,7 +35,7 @@ from pipelines.recording.export.tables import (
     usual_fps,
 )
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
-from pipelines.recording.recorded_messages import HAPTIC_SAMPLES, VIDEO
+from pipelines.recording.recorded_messages import HAPTIC_SAMPLES, PARAMETERS, VIDEO
 from pipelines.recording.recording_file import Outputs
 
 if TYPE_CHECKING:
@@ -56,6 +56,9 @@ _CODER = {"crf": "12", "g": "2", "bf": "0", "preset": "veryfast"}
 _SAMPLED_PICTURES = 100
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _INDEX = ("frame_index", "episode_index", "index", "task_index")
+
+#: Columns of each table in front of its values.
+_INSTANT_COLUMNS = len(("time_s", "session_ns"))
 
 _Stats = dict[str, NDArray[Any]]
 
@@ -95,6 +98,7 @@ class LeRobotExport:
         self._takers = {topic: camera for camera in self._cameras for topic in camera.topics}
         self._directory, self._recording, self._fps = directory, recording, fps
         self._haptics = TableCollector(recording.begin_ns)
+        self._parameters = TableCollector(recording.begin_ns)
         self._tasks = TaskRuns()
         self._outputs: Outputs | None = None
         self._lines: list[str] = []
@@ -112,6 +116,8 @@ class LeRobotExport:
             camera.handle_message(message)
         elif message.schema == HAPTIC_SAMPLES.full_name:
             self._haptics.handle_message(message)
+        elif message.schema == PARAMETERS.full_name:
+            self._parameters.handle_message(message)
         elif message.topic in TASK_CHANNELS:
             self._tasks.handle_message(message)
 
@@ -129,7 +135,8 @@ class LeRobotExport:
         metadata = self._recording.metadata
         setup = metadata.setup if metadata is not None and metadata.setup else "telepresence"
         runs = self._tasks.runs() or [Run(setup, begin_ns, None, "")]
-        writing = _Writing(self._directory, self._outputs, cameras, hand, fps, setup)
+        parameters = _Parameters(self._parameters.tables())
+        writing = _Writing(self._directory, self._outputs, cameras, hand, parameters, fps, setup)
         for run in runs:
             writing.add_run(run, begin_ns)
         if not writing.episodes:
@@ -268,9 +275,51 @@ class _Colours:
         return shaped | {"count": np.array([self.pictures])}
 
 
+class _Parameters:
+    """What components have reported last, at an instant: a vector of numbers each, and texts."""
+
+    def __init__(self, tables: Mapping[str, Columns]) -> None:
+        self.names: dict[str, list[str]] = {}
+        #: By feature: of each of its columns, the instants of its values and these.
+        self._told: dict[str, list[tuple[NDArray[np.int64], NDArray[Any]]]] = {}
+        for table, columns in tables.items():
+            own, _, way = table.rpartition("_")
+            if way == RECEIVED and f"{own}_{SENT}" in tables:
+                continue
+            at_ns = np.asarray(columns["session_ns"])
+            for name, column in [*columns.items()][_INSTANT_COLUMNS:]:
+                text = isinstance(column, list)
+                values = np.asarray(column, object if text else np.float64)
+                known = values != "" if text else np.isfinite(values)
+                key = own.replace("_", ".", 1) + (f".{name}" if text else "")
+                self.names.setdefault(key, []).append(name)
+                self._told.setdefault(key, []).append((at_ns[known], values[known]))
+
+    def at(self, instants_ns: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+        """Values by feature, (rows, columns) or texts (rows,); NaN or "" before the first."""
+        found = {}
+        for key, columns in self._told.items():
+            text = columns[0][1].dtype == object
+            rows = [
+                np.concatenate(([""] if text else [np.nan], values))[
+                    np.searchsorted(at_ns, instants_ns, side="right")
+                ]
+                for at_ns, values in columns
+            ]
+            found[key] = rows[0].astype(object) if text else np.stack(rows, axis=1)
+        return found
+
+
+def _all_stats(rows: Mapping[str, NDArray[Any]]) -> dict[str, _Stats]:
+    return {key: _stats(value) for key, value in rows.items() if value.dtype != object}
+
+
 def _stats(values: NDArray[Any]) -> _Stats:
-    """Of rows: of each component."""
+    """Of rows: of each component. Rows with a value that is not known yet do not count."""
     rows = values.reshape(len(values), -1).astype(np.float64)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    if not len(rows):
+        rows = np.zeros((1, values.size // len(values)))
     found = {
         "min": rows.min(axis=0),
         "max": rows.max(axis=0),
@@ -290,12 +339,14 @@ class _Writing:
         outputs: Outputs | None,
         cameras: Sequence[_Camera],
         hand: _Hand,
+        parameters: "_Parameters",
         fps: int,
         setup: str,
     ) -> None:
         assert outputs is not None
         self._directory, self._outputs = directory, outputs
         self._cameras, self._hand, self._fps, self._setup = cameras, hand, fps, setup
+        self._parameters = parameters
         self.episodes: list[dict[str, object]] = []
         self._tasks: list[str] = []
         self._rows: list[dict[str, NDArray[Any]]] = []
@@ -333,6 +384,7 @@ class _Writing:
             self._tasks.append(run.task)
         task = self._tasks.index(run.task)
         rows: dict[str, NDArray[Any]] = dict(values)
+        rows |= self._parameters.at(instants_ns)
         for one in self._cameras:
             rows[one.instant_key] = one.captures_ns[placed[one.key].pictures]
         rows["timestamp"] = (np.arange(count) / self._fps).astype(np.float32)
@@ -351,7 +403,7 @@ class _Writing:
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
         }
-        stats = {key: _stats(value) for key, value in rows.items()}
+        stats = _all_stats(rows)
         for one in self._cameras:
             colours = self._write_film(one, placed[one.key], number)
             stats[one.key] = colours.stats()
@@ -391,7 +443,7 @@ class _Writing:
         import pyarrow as pa
 
         rows = {key: np.concatenate([row[key] for row in self._rows]) for key in self._rows[0]}
-        stats = {key: _stats(value) for key, value in rows.items()}
+        stats = _all_stats(rows)
         stats |= {key: colours.stats() for key, colours in self._all_colours.items()}
         columns = {
             key: pa.FixedSizeListArray.from_arrays(pa.array(value.ravel()), value.shape[1])
@@ -441,9 +493,9 @@ class _Writing:
         for key, value in rows.items():
             width = value.shape[1] if value.ndim == 2 else 1
             features[key] = {
-                "dtype": str(value.dtype),
+                "dtype": "string" if value.dtype == object else str(value.dtype),
                 "shape": [width],
-                "names": self._hand.names.get(key),
+                "names": self._hand.names.get(key) or self._parameters.names.get(key),
             }
         return {
             "codebase_version": "v3.0",

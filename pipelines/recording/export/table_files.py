@@ -31,14 +31,14 @@ from pipelines.recording.export.columns import (
 )
 from pipelines.recording.export.tables import RECORDING, TableCollector
 from pipelines.recording.joined import JoinedMessage, JoinedRecording
-from pipelines.recording.recorded_messages import LINK_SENT
+from pipelines.recording.recorded_messages import LINK_SENT, PARAMETERS
 from pipelines.recording.recording_file import Outputs
 
 if TYPE_CHECKING:
     from _csv import Writer
 
 #: Its columns may grow during a session, so it is written at the end.
-_GROWING = {LINK_SENT.full_name}
+_GROWING = {LINK_SENT.full_name, PARAMETERS.full_name}
 
 
 class CsvExport:

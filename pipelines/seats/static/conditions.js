@@ -2,7 +2,7 @@
  * What pages say of link, handle and robot. The server says whether the hand may move the robot, why
  * not, and what to do; a page adds only what the server cannot tell: that it is silent, or has ended.
  *
- * @import { ExperimentText, Figure, HelloText, JoystickText, Level, PanelText, RobotText, SituationText, StateText } from "./texts.js"
+ * @import { BoardText, ExperimentText, Figure, HelloText, JoystickText, Level, PanelText, RobotText, SituationText, StateText } from "./texts.js"
  */
 import { PANEL_WORDS, PHASE_WORDS } from "./mission_words.js";
 import { linkText } from "./wording.js";
@@ -44,8 +44,20 @@ export function linkTile({ alive, ended, state, hello }, open) {
   return { label, value: "● CONNECTED", level: open ? "warn" : "good" };
 }
 
+/** Whether the joystick drives the partner's robot, not ours. @param {Pick<Known, "state" | "robot">} known */
+export function drivesPartners({ state, robot }) {
+  const joystick = state?.joystick ?? null;
+  return robot?.partner === "driven" || (joystick?.state === "application" && joystick.experiment === "russian experiment");
+}
+
+/** The board for maps: nothing of ours stands where the partner's robot is. @param {Pick<Known, "state" | "robot">} known @param {BoardText} board @returns {BoardText} */
+export function boardOf(known, board) {
+  return drivesPartners(known) ? { ...board, wall_x_m: null, leds_m: [], lights_m: [], marks: [] } : board;
+}
+
 /** The tile of the picture's age. @param {Known} known @param {{ageMs: number | null, stale: boolean} | null} picture Null: the session has none here. @returns {Tile} */
-export function ageTile({ alive, state }, picture) {
+export function ageTile(known, picture) {
+  const { alive, state } = known;
   if (picture === null) return { label: "Picture", value: "NONE HERE", level: "none" };
   const { ageMs, stale } = picture;
   const age = ageMs === null ? "–" : `${ageMs.toFixed(0)} ms`;
@@ -53,7 +65,9 @@ export function ageTile({ alive, state }, picture) {
   // The age is that of the part that still moves.
   const frozen = alive && state?.safety.frozen === true;
   const label = stale ? "Picture: stale" : frozen ? "Picture: a part is frozen" : "Picture: age";
-  return { label, value, level: stale || frozen ? "bad" : "good" };
+  if (stale || frozen) return { label, value, level: "bad" };
+  // However young, it does not show what the hand moves.
+  return drivesPartners(known) ? { label: "Picture: our robot's", value, level: "warn" } : { label, value, level: "good" };
 }
 
 /** What the server says of hand and robot; null while nobody says. @param {Known} known @returns {SituationText | null} */

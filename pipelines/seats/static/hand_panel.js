@@ -7,7 +7,7 @@
  */
 import { announce } from "./announcer.js";
 import { AxisSliders } from "./axis_sliders.js";
-import { follows, situationOf } from "./conditions.js";
+import { boardOf, follows, situationOf } from "./conditions.js";
 import { steerByController } from "./controller_hand.js";
 import { make, setAttribute, setText } from "./dom.js";
 import { ForceBar } from "./force_bar.js";
@@ -75,7 +75,12 @@ export class HandPanel extends HTMLElement {
       const { half_width_m: x, half_height_m: y } = this.#workspace;
       return { x, y };
     });
-    steerByController(control, () => forceShare(newest.forceN ?? 0));
+    steerByController(control, () => forceShare(newest.forceN ?? 0), {
+      mapping: () => connection.hello?.pad ?? null,
+      axes: () => (connection.state?.joystick?.axes ?? []).map(({ name }) => name),
+      stop: () => void connection.request({ do: "stop", action: "stop" }),
+      handOver: () => (this.#buttons.policy.hidden ? this.#actByKey() : this.#handOver()),
+    });
     keyboard.add(
       { keys: ["Escape"], shown: "Esc", what: "let go of the handle", down: () => control.releaseAll() },
       { keys: ["h"], what: "take the handle, ask for it, or give it up", down: () => this.#actByKey() },
@@ -140,8 +145,9 @@ export class HandPanel extends HTMLElement {
   }
 
   #draw() {
-    const hello = this.#seat?.connection.hello ?? null;
-    if (hello === null) return;
+    const connection = this.#seat?.connection;
+    const hello = connection?.hello ?? null;
+    if (connection === undefined || hello === null) return;
     const handle = this.#newest?.row ?? null;
     const { half_width_m, half_height_m } = hello.workspace;
     const target = this.#control?.target ?? null;
@@ -149,7 +155,7 @@ export class HandPanel extends HTMLElement {
     setAttribute(this.#map.canvas, "data-place-mm", handle === null ? null : `${mm(handle.xM)} ${mm(handle.yM)}`);
     this.#map.show({
       workspace: hello.workspace,
-      board: hello.board,
+      board: boardOf(connection, hello.board),
       handle,
       target: target === null ? null : { xM: target.x * half_width_m, yM: target.y * half_height_m },
       start: this.#start,

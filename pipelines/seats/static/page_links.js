@@ -5,6 +5,9 @@
  */
 import { make } from "./dom.js";
 
+/** Where a viewer finds something to watch. */
+const WATCHED = ["space", "panel", "ground", "k2sv"];
+
 /** By end: address and name of its pages. @type {Record<string, [string, string][]>} */
 const PAGES = {
   space: [
@@ -28,7 +31,9 @@ class PageLinks extends HTMLElement {
       const here = location.pathname.slice(1);
       /** @type {[string, string][]} */
       const own = role === "trainer" ? [["trainer", "Trainer"]] : [];
-      const shown = [...(PAGES[seat] ?? []), ...own].filter(([page]) => tasks || !["panel", "top"].includes(page) || page === here);
+      const shown = [...(PAGES[seat] ?? []), ...own].filter(
+        ([page]) => page === here || ((tasks || !["panel", "top"].includes(page)) && (role !== "viewer" || WATCHED.includes(page))),
+      );
       const links = shown.map(([page, name]) =>
         make("a", { href: `${location.origin}/${page}?token=${token}`, ...(page === here ? { "aria-current": "page" } : {}) }, name),
       );

@@ -97,7 +97,7 @@ class PanelStatus extends HTMLElement {
     const look = () => {
       const pad = navigator.getGamepads().find((one) => one?.buttons[0]?.pressed === true) ?? null;
       // While it steers, the joystick itself counts its buttons.
-      const now = pad !== null && !holdsDeadMan(pad);
+      const now = pad !== null && !holdsDeadMan(pad, this.#seat?.connection.hello?.pad);
       if (now && !pressed && document.hasFocus()) void this.#press();
       pressed = now;
     };

@@ -17,7 +17,7 @@ class PanelTasks extends HTMLElement {
     connection.on("hello", ({ task_list: tasks }) => {
       this.#items.clear();
       this.#list.replaceChildren();
-      for (const { name } of tasks) this.#add(name);
+      for (const { name, lacks } of tasks) this.#add(name, lacks);
       this.hidden = false;
     });
     connection.on("panel", ({ task }) => {
@@ -28,9 +28,10 @@ class PanelTasks extends HTMLElement {
     });
   }
 
-  /** @param {string} name */
-  #add(name) {
+  /** @param {string} name @param {string} [lacks] why it cannot be done here */
+  #add(name, lacks = "") {
     const item = make("li", { "data-task": name }, nameText(name));
+    if (lacks !== "") item.append(make("span", { class: "small" }, ` Not available: it ${lacks}.`));
     this.#items.set(name, item);
     this.#list.append(item);
   }

@@ -1,6 +1,7 @@
 /**
  * `<parameter-table>`: every parameter of telemetry with value, unit and age, in the colour of its
- * limit. With `application`, only those of that one. What is old is marked as such.
+ * limit. With `application`, only those of that one. What is old is marked as such. Parameters that
+ * never came are one row, which says how many, until a person opens it.
  *
  * @import { Seat } from "./seat.js"
  */
@@ -20,9 +21,13 @@ const TICK_MS = 500;
  * @property {HTMLElement} age
  */
 
+/** What opens and closes an application's parameters that never came. @typedef {{row: HTMLTableRowElement, button: HTMLButtonElement, count: number}} Fold */
+
 class ParameterTable extends HTMLElement {
   /** By "APPLICATION.NAME". @type {Map<string, Row>} */
   #rows = new Map();
+  /** By application. @type {Map<string, Fold>} */
+  #folds = new Map();
   #body = make("div", { class: "parameter-groups" });
   /** @type {Telemetry | null} */
   #telemetry = null;
@@ -43,6 +48,7 @@ class ParameterTable extends HTMLElement {
 
   #build() {
     this.#rows.clear();
+    this.#folds.clear();
     const only = this.getAttribute("application");
     const applications = (this.#telemetry?.applications ?? []).filter(
       ({ name, parameters }) => parameters.length > 0 && (only === null || only === name),
@@ -65,6 +71,7 @@ class ParameterTable extends HTMLElement {
           this.#rows.set(`${name}.${parameter.name}`, { row, value, limit, age });
           body.append(row);
         }
+        body.append(this.#fold(name));
         const heading = make("h3", { title: text }, nameText(name), make("span", { class: "quiet small" }, ` ${end}`));
         const head = make("tr", {}, ...["", "value", "", "limit", "age"].map((word) => make("th", { scope: "col" }, word)));
         return make("section", {}, heading, make("table", { class: "parameters" }, make("thead", {}, head), body));
@@ -73,7 +80,20 @@ class ParameterTable extends HTMLElement {
     this.#show();
   }
 
+  /** @param {string} application */
+  #fold(application) {
+    const button = make("button", { type: "button", class: "fold small quiet", "aria-expanded": "false" });
+    button.addEventListener("click", () => {
+      button.setAttribute("aria-expanded", String(button.ariaExpanded !== "true"));
+      this.#show();
+    });
+    const row = make("tr", {}, make("td", { colspan: "5" }, button));
+    this.#folds.set(application, { row, button, count: 0 });
+    return row;
+  }
+
   #show() {
+    for (const fold of this.#folds.values()) fold.count = 0;
     const nowUs = this.#seat?.connection.nowUs() ?? null;
     for (const { application, parameter, structure, value } of this.#telemetry?.entries() ?? []) {
       const row = this.#rows.get(`${application.name}.${parameter.name}`);
@@ -81,7 +101,9 @@ class ParameterTable extends HTMLElement {
       const age = ageS(value, nowUs);
       // What only functions are given has no value.
       const given = structure === null && application.functions.some((one) => one.arguments.includes(parameter.name));
-      row.row.hidden = given && value === null;
+      const fold = this.#folds.get(application.name);
+      if (fold !== undefined && !given && value === null) fold.count += 1;
+      row.row.hidden = value === null && (given || fold?.button.ariaExpanded !== "true");
       const past = this.#telemetry?.isPast(application, structure, age) ?? true;
       const level = past ? "none" : (value?.level ?? "none");
       setText(row.value, valueText(value?.value));
@@ -90,6 +112,10 @@ class ParameterTable extends HTMLElement {
       setAttribute(row.limit, "data-level", level);
       setText(row.age, age === null ? "never" : agoText(age));
       setAttribute(row.row, "data-old", past ? "true" : null);
+    }
+    for (const { row, button, count } of this.#folds.values()) {
+      row.hidden = count === 0;
+      setText(button, `${button.ariaExpanded === "true" ? "▾" : "▸"} ${count} not received yet`);
     }
   }
 }

@@ -5,6 +5,7 @@
  * @import { Seat } from "./seat.js"
  * @import { Row } from "./newest_row.js"
  */
+import { boardOf, drivesPartners } from "./conditions.js";
 import { make, setText } from "./dom.js";
 import { drawOften } from "./drawing_loop.js";
 import { NewestRow } from "./newest_row.js";
@@ -17,6 +18,7 @@ class RobotMap extends HTMLElement {
   #map = new WorkspaceMap();
   #contact = make("strong");
   #force = make("dd");
+  #placeLabel = make("dt");
   #place = make("dd");
 
   /** @param {Seat} seat */
@@ -26,7 +28,7 @@ class RobotMap extends HTMLElement {
     canvas.setAttribute("aria-label", "Task board with the robot's stylus and its force");
     this.append(
       canvas,
-      make("dl", { class: "values" }, make("dt", {}, "Stylus"), make("dd", {}, this.#contact), make("dt", {}, "Force"), this.#force, make("dt", {}, "Position x, y"), this.#place),
+      make("dl", { class: "values" }, make("dt", {}, "Stylus"), make("dd", {}, this.#contact), make("dt", {}, "Force"), this.#force, this.#placeLabel, this.#place),
     );
     const robot = new NewestRow(connection, "robot");
     /** @type {Row | null | undefined} */
@@ -40,10 +42,12 @@ class RobotMap extends HTMLElement {
       if (performance.now() - said >= SAY_MS) {
         said = performance.now();
         this.#say(handle);
+        // Its samples do not say where the partner's robot is.
+        setText(this.#placeLabel, drivesPartners(connection) ? "Partner's robot is wanted at" : "Position x, y");
       }
       if (connection.hello === null || handle === drawn) return;
       drawn = handle;
-      const { board } = connection.hello;
+      const board = boardOf(connection, connection.hello.board);
       const workspace = { half_width_m: board.width_m / 2, half_height_m: board.height_m / 2 };
       this.#map.show({ workspace, board, handle, target: handle, start: null });
     });

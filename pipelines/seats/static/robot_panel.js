@@ -70,7 +70,7 @@ class RobotPanel extends HTMLElement {
     this.#set("Place", placeText([robot.x_m, robot.y_m]));
     this.#set("Goal", robot.goal_m === null ? "–" : placeText(robot.goal_m));
     this.#set("Force of the board", `${robot.push_n.toFixed(1)} N`);
-    this.#set("Joystick", robot.halted ? "halted" : "commands");
+    this.#set("Joystick", robot.halted ? "halted" : "not halted");
     this.#set("Orders refused", String(robot.refused));
     this.#set("Faults so far", String(robot.faults));
     for (const [name, button] of this.#buttons) {

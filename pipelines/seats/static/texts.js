@@ -91,8 +91,8 @@
  */
 
 /**
- * A task that can be selected. text: for the cosmonaut.
- * @typedef {{name: string, text: string}} TaskText
+ * A task. text: for the cosmonaut. lacks: why it cannot be done here; "" if it can.
+ * @typedef {{name: string, text: string, lacks: string}} TaskText
  */
 
 /**
@@ -101,14 +101,26 @@
  */
 
 /**
+ * What moves an axis on a standard gamepad, as `PadAxis` has it; -1: no control.
+ * @typedef {{name: string, axis: number, up: number, down: number, scale: number, dead_zone:
+ *   number, rate: boolean}} PadAxisText
+ */
+
+/**
+ * What a standard gamepad's controls do, as `PadControls` has it; -1: no button.
+ * @typedef {{axes: PadAxisText[], dead_man: number[], stop: number, hand_over: number, panel:
+ *   number[]}} PadText
+ */
+
+/**
  * The first text of a connection. page: its number. name: who sits there.
  * @typedef {{kind: "hello", seat: "ground" | "space", setup: string, session: string, streams:
  *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
  *   string, workspace: WorkspaceText, charts: HapticChart[], board: BoardText, caps:
  *   Record<string, number>, applications: ApplicationText[], passes: PassText[], tasks: boolean,
- *   task_list: TaskText[], views: Record<string, number[]>, exercises: ExerciseText[], role:
- *   "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "trainer" | "viewer",
- *   page: number, name: string, now_us: number}} HelloText
+ *   task_list: TaskText[], views: Record<string, number[]>, exercises: ExerciseText[], pad:
+ *   PadText | null, role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" |
+ *   "trainer" | "viewer", page: number, name: string, now_us: number}} HelloText
  */
 
 /**

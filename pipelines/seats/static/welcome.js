@@ -142,8 +142,10 @@ function showPlaces() {
   );
   one("#seats", HTMLUListElement).replaceChildren(...items);
   const where = everywhere ? "" : seat === "space" ? " in space" : " on the ground";
-  const may = role === "viewer" ? "You see and hear everything, and can change nothing." : "Choose your seat:";
+  const may = role === "viewer" ? "You see and hear everything, and can change nothing." : "Choose your seat.";
   setText(one("#you-are", HTMLElement), `You are ${ROLES[role] ?? role}${where}. ${may}`);
+  // Who is alone acts for both ends.
+  one("#alone", HTMLElement).hidden = role !== "operator" || !tasks || !("space" in ports && "ground" in ports);
   for (const group of document.querySelectorAll("svg [data-end]")) {
     const { end = "" } = /** @type {SVGElement} */ (group).dataset;
     group.toggleAttribute("data-yours", everywhere || end === seat);

@@ -90,7 +90,7 @@ def _refuse_counted_axes(table: Mapping[str, Any]) -> None:
     """Axes were a number and a gripper."""
     count = table.get("axes", ())
     if "gripper" in table or not isinstance(count, list | tuple):
-        more = AXIS_NAMES[: count - 2] if count in (3, 6) else ()
+        more = AXIS_NAMES[: int(count) - 2] if count in (3, 6) else ()
         names = ["x", "y", *more, *(["gripper"] if table.get("gripper") else [])]
         listed = ", ".join(f'"{each}"' for each in names)
         raise ConfigError(f"axes are a list of names now, without gripper: axes = [{listed}]")

@@ -66,18 +66,17 @@ class VideoStream:
     cap_bps: the most RTP payload in any second; 20 to 20000 kbit/s. With `deadband = "picture"` up
         to twice as much.
     width: width and height of the pictures, both even.
-    fps: pictures a second of its cameras, 1 to 120. Of a fast camera's pictures only as many are
-        coded as the cap has bits for (`coded_hz`).
+    fps: pictures a second of its cameras, 1 to 120. As many are coded as the cap has bits for
+        (`coded_hz`).
     prefer: "latency" codes more and smaller pictures of a fast camera.
     stale_after_ms: older pictures are marked as stale. By default the radio's longest delay, 100 ms
         and four periods together.
-    coded: the size in which pictures are coded, as (width, height). By default the largest for
-        which the cap has bits (`coded_size`). They are shown in the stream's size.
+    coded: the size in which pictures are coded, as (width, height); by default the largest for
+        which the cap has bits. They are shown in the stream's size.
     codec: `h264`, or `h265` for a better picture at more computing.
-    least_fps: no fewer pictures a second are sent where some are left out, for repair or a slow
-        path.
-    least_cap_bps: the cap falls to it where the path between two machines carries less; by default
-        to a third of the cap.
+    least_fps: so many pictures a second are sent at least, also for repair or a slow path.
+    least_cap_bps: the cap falls to it where the path between two machines carries less; default:
+        a third of the cap.
     """
 
     name: str
@@ -251,26 +250,26 @@ class Setup:
 
     name: in reports; of a file its name by default.
     cameras: what the operator can select; the first is on at the start. `stereo` is merged from the
-        inputs `left` and `right`; any other, of 1 to 10 printable ASCII characters, is the input of
-        the same name, or one of `composed`.
+        inputs `left` and `right`; any other (1 to 10 printable ASCII characters) is the input of
+        that name, or one of `composed`.
     composed: by their names, cameras that show two inputs in one picture (docs/cameras.md).
     sources: for each input its source, as on the command line (docs/cameras.md).
     radio: how the radio delays and loses frames: a built-in profile, or a file
         (docs/simulation.md#the-radio).
     radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
-    deadband: unless `off`, haptic samples are left out while nobody would feel the difference. The
-        uplink video gets the room: as a higher rate, or a lower delay (docs/haptics.md).
-    repair: what restores lost frames: idle slots; with `auto` also pictures left out while the
-        other end reports losses; nothing (docs/architecture.md#the-link). Where a direction has no
-        room for it, or its other end does not know it, `auto` goes without.
-    path: how frames go in datagrams between two machines: one length for every slot, or without
-        what is idle (docs/two-machines.md).
+    deadband: unless `off`, haptic samples that nobody would miss are left out; the uplink video
+        gets a higher rate, or a lower delay (docs/haptics.md).
+    repair: what restores lost frames: idle slots; with `auto` at losses also the room of pictures
+        left out (docs/architecture.md#the-link). `auto` goes without where there is no room, or
+        the other end does not know it.
+    path: between two machines: one length of datagram for every slot, or without what is idle
+        (docs/two-machines.md).
     path_batch_ms: a datagram has the frames of so many ms: 1, 2 or 4.
-    hand: what the operator feels: the robot's delayed force (`direct`); a wall that is rendered at
-        the joystick (`mediated`); that wall, and directly what it does not explain (`auto`); `auto`
+    hand: what the operator feels: the robot's delayed force (`direct`); a wall rendered at the
+        joystick (`mediated`); that wall, and directly what it does not explain (`auto`); `auto`
         from a round trip of 60 ms on (`adaptive`) (docs/haptics.md).
     force: `none`: the hand feels nothing. Commands go at `command_hz`, the robot's state at 50 Hz,
-        and the pictures get the room (docs/haptics.md).
+        and pictures get the room.
     command_hz: commands a second with `force = "none"`, 50 to 250.
     axes: what the hand moves, of x, y, z, roll, pitch, yaw, gripper and up to three of the robot's
         own. Each behind x and y makes the samples 5 octets longer, so frames must be, too.
@@ -282,12 +281,11 @@ class Setup:
     marks: what stands in the robot's workspace, by name, for the maps of the pages. With any, or
         with a robot of one's own, they show these instead of the built-in task board.
     playback: where the operator in space, and the ground, hear the voice.
-    recorded_cameras: which cameras a recording has beside the streams: all at their full rate, or
-        at 5 Hz while no stream carries them; `auto` by the disk (docs/recordings.md).
-    region: what of the uplink video is coded finer where no person says: the robot's tip
-        (docs/architecture.md#pictures-and-voice).
-    region_points: for a camera of your own, the four corners of the task board in its pictures:
-        upper left, upper right, lower right, lower left; (x, y) in pixels.
+    recorded_cameras: cameras in a recording: all at their full rate, or at 5 Hz while no stream
+        carries them; `auto` by the disk (docs/recordings.md).
+    region: what of the uplink video is coded finer where no person says: the robot's tip.
+    region_points: by camera of your own, the corners of the task board in its pictures: upper left,
+        upper right, lower right, lower left; (x, y) in pixels.
     base_port: the first of the 40 UDP ports on loopback.
     """
 

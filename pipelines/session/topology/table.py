@@ -27,6 +27,7 @@ from pipelines.session.topology.streams import (
     partner_ports,
     stream_rows,
 )
+from telepresence.haptics.device.stick_map import StickMap
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import SIMULATED
 from telepresence.link.flows import Flow
@@ -39,12 +40,14 @@ class SessionOptions:
     """What a session has beside what its setup says.
 
     joystick, robot, second_robot: their SPECs; the last is the arm that a partner drives.
+    joystick_map: which control of a game controller moves what; None: the usual.
     components: of users, in the telemetry. routes: of its data. Each flag: with the processes that
     `rows.py` of a room have under it. recorder: it can record. bypass: programs are joined past
     gateways and radio.
     """
 
     joystick: str = SIMULATED
+    joystick_map: StickMap | None = None
     robot: str = SIMULATED_ROBOT
     second_robot: str = SIMULATED_ROBOT
     snapshots: bool = False

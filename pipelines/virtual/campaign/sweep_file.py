@@ -33,6 +33,7 @@ from pipelines.virtual.campaign.campaign_metrics import Crash, RunMetrics, crash
 from pipelines.virtual.campaign.sessions import Progress, cluster_of, code_digest, session_results
 from pipelines.virtual.campaign.sweep import Case, Sweep, Value, case_metrics, headlines, task_key
 from telepresence.link.radio.profile_file import radio_from_table
+from telepresence.tasks.plan import TaskWorld
 from telepresence.tasks.task_files import load_plan
 from telepresence.toml_file import read_toml, typed
 
@@ -99,7 +100,7 @@ def _sweep(path: Path, file: _File) -> Sweep:
     plan = None if file.plan is None else load_plan(path.parent / file.plan)
     if plan is not None:
         for case in found.values():
-            plan[0].check(plan[1], case.setup.cameras, case.setup.name)
+            plan[0].check(plan[1], TaskWorld(cameras=case.setup.cameras, setup=case.setup.name))
     sweep = Sweep(
         name=path.stem,
         seconds=file.seconds,

@@ -22,6 +22,8 @@ class JoystickReading(NamedTuple):
     temperature_c: of the hotter motor; None without a sensor.
     present: False once the device is unplugged or closed, and from then on.
     error: why it cannot go on, in one line; "" if it can.
+    stop: a button for the emergency stop is pressed. hand_over: one that hands the handle over to a
+    policy, or back.
     """
 
     x_m: float
@@ -33,6 +35,8 @@ class JoystickReading(NamedTuple):
     temperature_c: float | None = None
     present: bool = True
     error: str = ""
+    stop: bool = False
+    hand_over: bool = False
 
     def position(self, axis: int) -> float:
         """Return the position (m) along x for axis 0, along y for axis 1."""

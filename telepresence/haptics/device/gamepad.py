@@ -34,6 +34,7 @@ from telepresence.haptics.device.stick import (
     puck_axes,
     stick_axes,
 )
+from telepresence.haptics.device.stick_map import StickMap
 
 #: The force at which the rumble is strongest (N). Chosen.
 _FULL_RUMBLE_N = 8.0
@@ -79,11 +80,16 @@ def find_gamepads(folder: Path = Path("/dev/input")) -> list[FoundGamepad]:
 
 
 def open_gamepad(
-    path: str = "", *, axes: Sequence[str] = (), folder: Path = Path("/dev/input")
+    path: str = "",
+    *,
+    axes: Sequence[str] = (),
+    mapping: StickMap | None = None,
+    folder: Path = Path("/dev/input"),
 ) -> "GamepadDevice":
     """Open the controller at `path`, or the first one; ConfigError if there is none.
 
-    axes: those behind x and y, as far as it has them.
+    axes: those behind x and y, as far as it has them. mapping: which control moves what; with one,
+    the device at `path` may be any that has them.
     """
     evdev = _library()
     if not path:
@@ -105,30 +111,37 @@ def open_gamepad(
             f"evdev:{path} is no input device ({error.strerror}): `kontur-av joystick list` shows "
             "what is there"
         ) from None
-    if not _is_stick(device):
+    if mapping is None and not _is_stick(device):
         device.close()
         raise ConfigError(
             f"evdev:{path} is no game controller: `kontur-av joystick list` shows what is there"
         )
-    if dead_man_of(frozenset(device.capabilities().get(EV_KEY, ()))) is None:
+    keys = frozenset(device.capabilities().get(EV_KEY, ()))
+    if mapping is None and dead_man_of(keys) is None:
         device.close()
         raise ConfigError(
             f"evdev:{path} has no button to be the dead-man button: take a controller with one"
         )
-    return GamepadDevice(device, axes)
+    try:
+        return GamepadDevice(device, axes, mapping)
+    except ConfigError as error:
+        device.close()
+        raise ConfigError(f"joystick map: {error}") from None
 
 
 class GamepadDevice:
     """One open controller. `device` is an `evdev.InputDevice`, which `close` closes.
 
-    axes: those behind x and y, as far as it has them.
+    axes: those behind x and y, as far as it has them. mapping: as of `Stick`; so is mapped.
     """
 
-    def __init__(self, device: Any, axes: Sequence[str] = ()) -> None:
+    def __init__(
+        self, device: Any, axes: Sequence[str] = (), mapping: StickMap | None = None
+    ) -> None:
         capabilities = device.capabilities(absinfo=True)
         self._device = device
         described = capabilities.get(EV_ABS, ())
-        self._relative = not described
+        self._relative = not described and bool(capabilities.get(EV_REL))
         self._stick = Stick(
             device.name,
             puck_axes()
@@ -139,8 +152,9 @@ class GamepadDevice:
             frozenset(capabilities.get(EV_KEY, ())),
             rumble=FF_RUMBLE in capabilities.get(EV_FF, ()),
             more=axes,
+            mapping=mapping,
         )
-        self.capabilities = self._stick.capabilities
+        self.capabilities, self.mapped = self._stick.capabilities, self._stick.mapped
         self._meter = RumbleMeter(_FULL_RUMBLE_N)
         self._effect = -1
         self._force_n = self._more_n = 0.0

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Literal, cast
+from typing import cast
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.returned import fault_of
@@ -14,7 +14,7 @@ from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
 from telepresence.haptics.device.supervision import Limits
 from telepresence.haptics.haptic_metrics import JoystickMetrics, LoggedTransition
-from telepresence.haptics.sample import MODE_OFF, Feedback
+from telepresence.haptics.sample import Drive, Feedback
 
 #: Only in these states is a reading a calibrated position.
 _PLACED = (JoystickState.CALIBRATED, JoystickState.APPLICATION, JoystickState.HALTED)
@@ -24,16 +24,13 @@ _HEARD_NS = 20 * NS_PER_MS
 _TRUSTED_NS = 500 * NS_PER_MS
 
 
-#: What drives a robot: the hand, nothing, a mode of its own; "" if nothing is heard of it.
-Drive = Literal["hand", "off", "own", ""]
-
-
 class OperatedHandle:
     """`telepresence.haptics.bilateral.Handle` on a `JoystickDevice`, by its `JoystickOperation`.
 
     x_m, y_m: calibrated position; it rests while there is no calibration.
     force_limit_n: 0 outside the application and while the dead-man button is released.
     stop, blind: the caller sets both. pressed: how often a button went down.
+    stop_asked: its button for the emergency stop was pressed; the caller resets it.
     robot_waits, robot_stopped, drive: what the robot's newest sample says. frozen: it says that a
     part of the operator's picture is.
     command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
@@ -57,7 +54,8 @@ class OperatedHandle:
         self._simulated = device if isinstance(device, SimulatedDevice) else None
         self.x_m = self.y_m = 0.0
         self.force_limit_n = 0.0
-        self.dead_man = self.stop = self.blind = False
+        self.dead_man = self.stop = self.blind = self.stop_asked = False
+        self._hands_over = False
         self.buttons = self.pressed = 0
         self.robot_waits = self.robot_stopped = False
         self.drive: Drive = ""
@@ -95,7 +93,7 @@ class OperatedHandle:
             self.operation.handle_heard(now_ns)
         lit, self.robot_waits, self.robot_stopped = feedback[5], feedback[8], feedback[9]
         self.frozen = feedback[10]
-        self.drive = "hand" if not feedback[7] else "off" if feedback[4] == MODE_OFF else "own"
+        self.drive = feedback.drive
         self._leds = 0 if lit is None else 1 << lit
 
     def handle_command(self, event: JoystickEvent, *by: str) -> str:
@@ -149,6 +147,15 @@ class OperatedHandle:
                 self.y_m *= self._plane[1]
         if reading[4] & ~self.buttons:
             self.pressed += 1
+        if reading[9]:
+            self.stop_asked = True
+        if reading[10] is not self._hands_over:
+            self._hands_over = reading[10]
+            if reading[10]:
+                person = operation.driver != ""
+                operation.handle_command(
+                    JoystickEvent.PERSON if person else JoystickEvent.POLICY, now_ns
+                )
         # The button that a test asks for does not count for the robot or the panel.
         self.buttons, self.dead_man = reading[4], reading[5] and not operation.testing
         self.force_limit_n = operation.force_limit_n

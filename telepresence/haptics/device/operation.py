@@ -287,7 +287,7 @@ class JoystickOperation:
         """Read the device, supervise the reading, and continue what is in progress."""
         self.reading = reading = self.device.read()
         if now_ns < self._check_ns:
-            x_m, y_m, vx_m_s, vy_m_s, _, dead_man, _, present, error = reading
+            x_m, y_m, vx_m_s, vy_m_s, _, dead_man, _, present, error, _, _ = reading
             reach_x, reach_y, speed = self._plausible
             if (
                 dead_man

@@ -169,6 +169,8 @@ class PageDevice(Mechanics):
             joystick.temperature_c,
             self._now_ns < self._lost_ns,
             "",
+            False,
+            False,
         )
         return tuple.__new__(JoystickReading, reading)
 

@@ -278,6 +278,8 @@ class SimulatedDevice(Mechanics):
             joystick.temperature_c,
             self._now_ns < self._lost_ns,
             "",
+            False,
+            False,
         )
         # Skips `JoystickReading.__new__`, which is one more Python call a thousand times a second.
         return tuple.__new__(JoystickReading, reading)

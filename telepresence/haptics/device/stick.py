@@ -23,6 +23,7 @@ from telepresence.haptics.axes import (
     built_in_axis,
 )
 from telepresence.haptics.device.device import JoystickCapabilities, JoystickReading
+from telepresence.haptics.device.stick_map import Control, MappedAxis, StickMap, control_name
 
 EV_SYN, EV_KEY, EV_REL, EV_ABS, EV_FF = 0x00, 0x01, 0x02, 0x03, 0x15
 SYN_DROPPED = 3
@@ -90,24 +91,40 @@ def dead_man_of(keys: frozenset[int]) -> int | None:
 
 
 class _Lead(NamedTuple):
-    """What leads one more axis.
+    """What leads one axis.
 
     code: the axis of the controller, or with `less` the right one of two triggers, of which the
-    left one counts less. sign: -1 where the kernel counts against the axis.
+    left one counts less. sign: -1 where the kernel counts against the axis; or another scale.
     stays: a deflection is a speed, so that the axis stays when released; else it is a place.
+    dead_zone: the part of the deflection that counts as rest, beside what the kernel says.
     """
 
     code: int
     sign: float = 1.0
     less: int | None = None
     stays: bool = False
+    dead_zone: float = 0.0
+
+    @classmethod
+    def of(cls, row: MappedAxis) -> "_Lead":
+        code, less = (*row.controls, None)[:2]
+        return cls(code, row.scale, less, row.mode == "rate", row.dead_zone)
+
+    def words(self, keys: Collection[int]) -> str:
+        codes = [self.code] if self.less is None else [self.code, self.less]
+        names = [control_name(code, button=code in keys) for code in codes]
+        scale = f", scale {self.sign:g}" if self.sign != 1.0 else ""
+        zone = f", dead zone {self.dead_zone:g}" if self.dead_zone else ""
+        return f"{' and '.join(names)}{scale}{zone}, {'rate' if self.stays else 'position'}"
 
 
 def _leads(axes: Collection[int], keys: Collection[int]) -> dict[str, _Lead]:
-    """Return what leads each further axis that a controller with these axes and keys has."""
+    """Return what leads each axis that a controller with these axes and keys has."""
     if is_puck(axes, keys):
         return _puck_leads(keys)
     leads: dict[str, _Lead] = {
+        "x": _Lead(ABS_X),
+        "y": _Lead(ABS_Y, -1.0),
         "roll": _Lead(_ABS_HAT0X, stays=True),
         "pitch": _Lead(_ABS_HAT0Y, -1.0, stays=True),
     }
@@ -131,6 +148,8 @@ def _leads(axes: Collection[int], keys: Collection[int]) -> dict[str, _Lead]:
 
 def _puck_leads(keys: Collection[int]) -> dict[str, _Lead]:
     leads = {
+        "x": _Lead(ABS_X, stays=True),
+        "y": _Lead(ABS_Y, -1.0, stays=True),
         "z": _Lead(_ABS_Z, -1.0, stays=True),
         "roll": _Lead(_ABS_RY, -1.0, stays=True),
         "pitch": _Lead(_ABS_RX, -1.0, stays=True),
@@ -168,26 +187,39 @@ class FollowedAxis:
 
 
 class _LedAxis:
-    """One more axis. Lengths are those at its lever."""
+    """One axis. lead: None: nothing moves it. zero_m: its middle. Lengths are at its lever."""
 
-    def __init__(self, capabilities: AxisCapabilities, lead: _Lead) -> None:
-        self.capabilities, self.lead = capabilities, lead
-        self._half_m = capabilities.half_range * capabilities.lever_m
-        self._to_m = 0.0
-        self._followed = FollowedAxis(TAU_S, speed_m_s=capabilities.speed * capabilities.lever_m)
+    def __init__(self, lead: _Lead | None, half_m: float, most_m_s: float = SPEED_M_S) -> None:
+        self.lead, self._half_m = lead, half_m
+        self.zero_m = self._to_m = 0.0
+        self.followed = FollowedAxis(TAU_S, speed_m_s=most_m_s)
+
+    def begin(self, share: float) -> None:
+        """Stand where the deflection says, if it is a place."""
+        if self.lead is not None and not self.lead.stays:
+            self._to_m = self.followed.position = share * self._half_m
 
     def advance(self, share: float, dt_ns: int, *, held: bool) -> None:
-        """Take the deflection, -1 to 1; `dt_ns` pass. held: the dead-man button is pressed."""
-        half_m = self._half_m
-        if not self.lead.stays:
-            self._to_m = share * half_m
+        """Take the deflection; `dt_ns` pass. held: the dead-man button is pressed."""
+        half_m, lead = self._half_m, self.lead
+        if lead is not None and not lead.stays:
+            self._to_m = max(-1.0, min(1.0, share)) * half_m
         elif held:
-            way_m = share * half_m * dt_ns / _HALF_RANGE_NS
-            self._to_m = max(-half_m, min(half_m, self._to_m + way_m))
-        self._followed.advance(self._to_m, dt_ns)
+            to_m = self._to_m - self.zero_m + share * half_m * dt_ns / _HALF_RANGE_NS
+            self._to_m = self.zero_m + max(-half_m, min(half_m, to_m))
+        self.followed.advance(self._to_m, dt_ns)
+
+
+class _LedMore(_LedAxis):
+    """One more axis."""
+
+    def __init__(self, capabilities: AxisCapabilities, lead: _Lead) -> None:
+        lever_m = capabilities.lever_m
+        super().__init__(lead, capabilities.half_range * lever_m, capabilities.speed * lever_m)
+        self.capabilities = capabilities
 
     def reading(self) -> AxisReading:
-        lever_m, followed = self.capabilities.lever_m, self._followed
+        lever_m, followed = self.capabilities.lever_m, self.followed
         return AxisReading(followed.position / lever_m, followed.speed / lever_m)
 
 
@@ -196,12 +228,14 @@ class Stick:
 
     axes: the kernel's description of each, by its code; ABS_X and ABS_Y are among them. keys: codes
     of all buttons. more: those axes behind x and y that the facts shall have, as far as the
-    controller has them (`stick_axes`).
+    controller has them (`stick_axes`). mapping: which control moves what; ConfigError for one that
+    the controller lacks. None: the usual.
 
     Full travel is ±0.1 m along x and ±0.08 m along y, with +y up. The dead-man button is the left
     shoulder (on a joystick: the trigger; on a puck: the first button).
 
-    needs_state: events were lost; query the kernel and call `handle_state`.
+    needs_state: events were lost; query the kernel and call `handle_state`. mapped: what its axes
+    and buttons do, a line each.
     """
 
     def __init__(
@@ -212,25 +246,40 @@ class Stick:
         *,
         rumble: bool = False,
         more: Sequence[str] = (),
+        mapping: StickMap | None = None,
     ) -> None:
-        buttons: Sequence[int] = _PAD_BUTTONS if _PAD_BUTTONS[0] in keys else _STICK_BUTTONS
-        self._dead_man_code = dead_man_of(keys)
-        leads = _leads(axes, keys)
-        self._puck = is_puck(axes, keys)
+        self._dead_man_code: int | None = None
+        self._stop_code: int | None = None
+        self._hand_over_code: int | None = None
+        if mapping is None:
+            leads, kept = self._usual(axes, keys)
+            # A robot's own axes get the leads that no other has.
+            free = [name for name in ("yaw", "z", "roll", "pitch") if name in {*leads} - {*more}]
+            own = [name for name in more if name not in AXIS_NAMES]
+            leads |= {name: leads[other] for name, other in zip(own, free, strict=False)}
+        else:
+            mapping.check(axes, keys)
+            leads = {name: _Lead.of(row) for name, row in mapping.axis.items()}
+            buttons = mapping.buttons
+            self._dead_man_code = Control(buttons.dead_man)
+            if buttons.stop is not None:
+                self._stop_code = Control(buttons.stop)
+            if buttons.hand_over is not None:
+                self._hand_over_code = Control(buttons.hand_over)
+            kept = [int(Control(name)) for name in buttons.panel]
         #: Of a puck: for how long each relative axis has been quiet.
         self._quiet_ns: dict[int, int] = {}
-        used = {self._dead_man_code}
-        if self._puck:
-            buttons = _PUCK_BUTTONS
-            pairs = (lead for lead in leads.values() if lead.less is not None)
-            used |= {code for lead in pairs for code in (lead.code, lead.less)}
-        kept = [code for code in buttons if code in keys and code not in used][:4]
         self._bits = {code: 1 << index for index, code in enumerate(kept)}
-        # A robot's own axes get the leads that no other has.
-        free = [name for name in ("yaw", "z", "roll", "pitch") if name in {*leads} - {*more}]
-        own = [name for name in more if name not in AXIS_NAMES]
-        leads |= {name: leads[other] for name, other in zip(own, free, strict=False)}
-        self._more = [_LedAxis(built_in_axis(one), leads[one]) for one in more if one in leads]
+        self._more = [_LedMore(built_in_axis(one), leads[one]) for one in more if one in leads]
+        self.mapped = [f"{name}: {lead.words(keys)}" for name, lead in leads.items()]
+        deeds: dict[str, int | None] = {"dead-man": self._dead_man_code, "stop": self._stop_code}
+        deeds |= {"hand-over": self._hand_over_code}
+        deeds |= {f"button {number}": code for number, code in enumerate(kept, 1)}
+        self.mapped += [
+            f"{deed}: {control_name(code, button=True)}"
+            for deed, code in deeds.items()
+            if code is not None
+        ]
         self.capabilities = JoystickCapabilities(
             name=name,
             half_width_m=HALF_WIDTH_M,
@@ -244,19 +293,31 @@ class Stick:
         self._axes = axes
         self._raw = {code: axis.value for code, axis in axes.items()}
         self._pressed: set[int] = set()
-        self._to = (0.0, 0.0)
-        self._to = self._positions()
-        self._x, self._y = (FollowedAxis(TAU_S, position_m) for position_m in self._to)
-        self._zero_x = self._zero_y = 0.0
+        self._x = _LedAxis(leads.get("x"), HALF_WIDTH_M)
+        self._y = _LedAxis(leads.get("y"), HALF_HEIGHT_M)
+        for axis in (self._x, self._y):
+            axis.begin(self._deflection(axis.lead))
+
+    def _usual(
+        self, axes: Mapping[int, Axis], keys: frozenset[int]
+    ) -> tuple[dict[str, _Lead], list[int]]:
+        """Return what leads each axis, and the codes of the buttons, without a mapping."""
+        buttons: Sequence[int] = _PAD_BUTTONS if _PAD_BUTTONS[0] in keys else _STICK_BUTTONS
+        self._dead_man_code = dead_man_of(keys)
+        leads, used = _leads(axes, keys), {self._dead_man_code}
+        if is_puck(axes, keys):
+            buttons = _PUCK_BUTTONS
+            pairs = (lead for lead in leads.values() if lead.less is not None)
+            used |= {code for lead in pairs for code in (lead.code, lead.less)}
+        return leads, [code for code in buttons if code in keys and code not in used][:4]
 
     def handle_event(self, kind: int, code: int, value: int) -> None:
         """Take one event of the controller; unknown events are ignored."""
-        if kind == EV_REL and self._puck:
+        if kind == EV_REL and code in self._raw:
             self._raw[code], self._quiet_ns[code] = value, 0
         elif kind == EV_ABS:
             if code in self._raw:
                 self._raw[code] = value
-                self._to = self._positions()
         elif kind == EV_KEY:
             (self._pressed.add if value else self._pressed.discard)(code)
         elif kind == EV_SYN and code == SYN_DROPPED:
@@ -266,13 +327,12 @@ class Stick:
         """Set the axes' raw values and the codes of the pressed buttons, as the kernel has them."""
         self.needs_state = False
         self._raw.update(raw)
-        self._to = self._positions()
         self._pressed = set(pressed)
 
     def handle_zero(self, x_m: float, y_m: float) -> None:
         """Make the present position (x_m, y_m) the middle."""
-        self._zero_x += x_m
-        self._zero_y += y_m
+        self._x.zero_m += x_m
+        self._y.zero_m += y_m
 
     def handle_gone(self) -> None:
         """The controller was unplugged."""
@@ -285,16 +345,18 @@ class Stick:
 
     def reading(self) -> JoystickReading:
         """Return the filtered position and the buttons."""
-        x, y, pressed = self._x, self._y, self._pressed
+        x, y, pressed = self._x.followed, self._y.followed, self._pressed
         return JoystickReading(
-            x.position - self._zero_x,
-            y.position - self._zero_y,
+            x.position - self._x.zero_m,
+            y.position - self._y.zero_m,
             x.speed,
             y.speed,
             sum(bit for code, bit in self._bits.items() if code in pressed),
             self._dead_man_code in pressed,
             None,
             self.present,
+            stop=self._stop_code in pressed,
+            hand_over=self._hand_over_code in pressed,
         )
 
     def more_readings(self) -> list[AxisReading]:
@@ -303,46 +365,26 @@ class Stick:
 
     def advance(self, dt_ns: int) -> None:
         """Advance the filter by `dt_ns`."""
-        if self._puck:
-            self._lead_puck(dt_ns)
-        self._x.advance(self._to[0], dt_ns)
-        self._y.advance(self._to[1], dt_ns)
-        held = self._dead_man_code in self._pressed
-        for axis in self._more:
-            axis.advance(self._deflection(axis.lead), dt_ns, held=held)
-
-    def _lead_puck(self, dt_ns: int) -> None:
-        """The deflections along x and y are speeds; axes that are quiet for long rest."""
         for code, quiet_ns in self._quiet_ns.items():
             self._quiet_ns[code] = quiet_ns + dt_ns
             if quiet_ns >= _PUCK_REST_NS:
                 self._raw[code] = 0
-        if self._dead_man_code not in self._pressed:
-            return
-        share = dt_ns / _HALF_RANGE_NS
-        x_m, y_m = self._to[0] - self._zero_x, self._to[1] - self._zero_y
-        x_m += self._deflected(ABS_X) * HALF_WIDTH_M * share
-        y_m -= self._deflected(ABS_Y) * HALF_HEIGHT_M * share
-        self._to = (
-            self._zero_x + max(-HALF_WIDTH_M, min(HALF_WIDTH_M, x_m)),
-            self._zero_y + max(-HALF_HEIGHT_M, min(HALF_HEIGHT_M, y_m)),
-        )
+        held = self._dead_man_code in self._pressed
+        for axis in (self._x, self._y, *self._more):
+            axis.advance(self._deflection(axis.lead), dt_ns, held=held)
 
-    def _deflected(self, code: int) -> float:
-        return _share(self._axes[code], self._raw[code])
-
-    def _positions(self) -> tuple[float, float]:
-        if self._puck:
-            return self._to
-        x, y = (_share(self._axes[code], self._raw[code]) for code in (ABS_X, ABS_Y))
-        # The kernel counts down as positive, the workspace up.
-        return x * HALF_WIDTH_M, -y * HALF_HEIGHT_M
-
-    def _deflection(self, lead: _Lead) -> float:
-        """Return from -1 to 1 how far what leads an axis is deflected."""
+    def _deflection(self, lead: _Lead | None) -> float:
+        """Return from -1 to 1, times the scale, how far what leads an axis is deflected."""
+        if lead is None:
+            return 0.0
         if lead.less is None:
-            return lead.sign * _share(self._axes[lead.code], self._raw[lead.code])
-        return self._pulled(lead.code) - self._pulled(lead.less)
+            share = _share(self._axes[lead.code], self._raw[lead.code])
+        else:
+            share = self._pulled(lead.code) - self._pulled(lead.less)
+        if lead.dead_zone:
+            beyond = max(abs(share) - lead.dead_zone, 0.0) / (1.0 - lead.dead_zone)
+            share = beyond if share > 0.0 else -beyond
+        return lead.sign * share
 
     def _pulled(self, code: int) -> float:
         """Return from 0 to 1 how far a trigger is pulled."""

@@ -129,7 +129,7 @@ class JoystickSupervisor:
 
     def handle_reading(self, reading: JoystickReading, now_ns: int) -> Health:
         """Judge `reading`."""
-        x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present, error = reading
+        x_m, y_m, vx_m_s, vy_m_s, _, _, temperature_c, present, error, _, _ = reading
         # One comparison each for the usual case; a NaN fails it as well.
         reach_x, reach_y, speed = self._reach_x_m, self._reach_y_m, self._speed_m_s
         if not (

@@ -1,16 +1,33 @@
 """`kontur-av export` writes all that was asked for, or leaves nothing."""
 
 import csv
+import json
 import shutil
 
 import h5py
 import numpy as np
 import pytest
 from scipy.io import loadmat
-from synthetic_recording import write_recording
+from synthetic_recording import BEGIN_NS, WALL_OFFSET_NS, S, Told, write_recording
 
+from kontur_av.media import CaptureStamp
 from pipelines.cli import main
+from pipelines.recording.channels import sources_of
 from pipelines.recording.export import table_files
+from pipelines.recording.session_messages import Instants, SessionMessages
+from pipelines.session.setup.setup_file import BUILT_IN
+from pipelines.table import topology_of
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.packets import Telemetry, pack_packet
+from telepresence.tmtc.telemetry_source import (
+    Component,
+    TelemetryParameter,
+    TelemetrySource,
+    application_of,
+    with_components,
+)
+
+pq = pytest.importorskip("pyarrow.parquet", reason="pyarrow: pip install -e '.[full]'")
 
 
 @pytest.fixture(scope="module")
@@ -126,3 +143,87 @@ def test_an_export_that_fails_leaves_nothing(recording, capsys, monkeypatch, bro
     assert export(recording, *words) == 2
     assert says in capsys.readouterr().err
     assert names(recording.parent) == ["a-2.mcap", "a.mcap"]
+
+
+class Oven(TelemetrySource):
+    """A component with every type of a parameter, in reports of three kinds."""
+
+    name = "oven"
+    parameters = (
+        TelemetryParameter(name="heat", unit="°C", period_s=1.0),
+        TelemetryParameter(name="fans", type="u32", unit="1/min", period_s=1.0),
+        TelemetryParameter(name="least", type="i8", period_s=1.0),
+        TelemetryParameter(name="closed", type="bool", period_s=2.0),
+        TelemetryParameter(name="mode", type="choice", choices=("idle", "bake"), period_s=2.0),
+        TelemetryParameter(name="dish", type="text", size=8, period_s=None),
+    )
+
+
+#: By instant (s): service, subtype, and what is reported.
+REPORTS = {
+    0.5: (3, 25, 1, {"heat": 21.5, "fans": 2**32 - 1, "least": -128}),
+    1.0: (3, 25, 2, {"closed": True, "mode": "bake"}),
+    1.5: (20, 2, 1, {"dish": "pie"}),
+    2.0: (3, 25, 1, {"heat": 180.25, "fans": 7, "least": 127}),
+}
+COLUMNS = ["heat_degc", "fans_1_min", "least", "closed", "mode", "dish"]
+
+
+def test_parameters_of_a_component_are_columns_that_other_programs_read(tmp_path):
+    component = Component("x:Oven", application_of(Oven(), 0x140))
+    topology = topology_of(BUILT_IN["spacejustin"], components=(component,))
+    dictionary = with_components(built_in_dictionary(), [component])
+    messages, told = SessionMessages(WALL_OFFSET_NS, dictionary), []
+    sources = {source.topic: source for source in sources_of(topology)}
+    for count, (at_s, (service, subtype, number, values)) in enumerate(REPORTS.items()):
+        table, at_ns = component.application, BEGIN_NS + round(at_s * S)
+        packed = [(table.parameter(name), value) for name, value in values.items()]
+        data = bytes([number]) + b"".join(
+            (bytes([one.number]) if service == 20 else b"") + one.pack(value)
+            for one, value in packed
+        )
+        octets = pack_packet(
+            Telemetry(apid=0x140, count=count, service=service, subtype=subtype, data=data)
+        )
+        at = Instants(at_ns, at_ns)
+        for topic in ("tm/ground/sent", "tm/space/received", "tm/ground/local"):
+            stamp = CaptureStamp(at_ns, count, "tm")
+            told += messages.of_sample(sources[topic], octets, stamp, at)
+    more = [
+        Told(one.channel, one.log_ns - WALL_OFFSET_NS, one.at.now_ns, one.sequence, one.data)
+        for one in told
+        if one.channel.startswith("/parameters")
+    ]
+    written = write_recording(tmp_path / "a.mcap", components=(component,), more=more)
+    out, mat, rows = tmp_path / "csv", tmp_path / "a.mat", tmp_path / "set"
+    asked = ("--csv", out, "--mat", mat, "--lerobot", rows, "--fps", 20)
+    assert export(written.paths[0], *asked) == 0
+    nan = np.nan
+    expected = {
+        "heat_degc": [21.5, nan, nan, 180.25],
+        "fans_1_min": [2**32 - 1, nan, nan, 7],
+        "least": [-128, nan, nan, 127],
+        "closed": [nan, 1, nan, nan],
+        "mode": ["", "bake", "", ""],
+        "dish": ["", "", "pie", ""],
+    }
+    for way in ("sent", "received"):
+        name = f"parameters_oven_{way}"
+        read = np.genfromtxt(
+            out / f"{name}.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
+        )
+        fields = loadmat(mat, squeeze_me=True)[name]
+        assert list(read.dtype.names) == ["time_s", "session_ns", *COLUMNS]
+        assert read["time_s"] == pytest.approx(list(REPORTS))
+        for column, values in expected.items():
+            texts = isinstance(values[0], str)
+            found = [str(one) if len(one) else "" for one in fields[column].item()] if texts else 0
+            assert (found or list(fields[column].item())) == pytest.approx(values, nan_ok=True)
+            assert read[column].tolist() == pytest.approx(values, nan_ok=True)
+    table = pq.read_table(rows / "data/chunk-000/file-000.parquet").to_pydict()
+    features = json.loads((rows / "meta/info.json").read_text())["features"]
+    assert features["parameters.oven"]["names"] == COLUMNS[:4]
+    assert features["parameters.oven.mode"]["dtype"] == "string"
+    assert table["parameters.oven"][-1] == [180.25, 7.0, 127.0, 1.0]
+    assert {*table["parameters.oven.dish"]} == {"", "pie"}
+    assert table["parameters.oven.mode"][-1] == "bake"

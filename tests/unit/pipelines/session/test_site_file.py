@@ -110,6 +110,7 @@ def test_the_nearer_file_wins_and_the_command_line_over_all_with_paths_from_each
         ('radio = "geo"\nradio_delay_ms = 3', "a.toml: --radio and --radio-delay-ms: give one"),
         ("include = 5", "a.toml: include must be a file or a list of files"),
         ('include = "none.toml"', "a.toml: include none.toml: there is no such file"),
+        ('include = "none\\u0000.toml"', "there is no such file"),
         ('include = "a.toml"', "a.toml: include a.toml: it includes this file"),
         ("seconds = \nx = 1", r"a.toml is not TOML: .*\(at line 1"),
         ("", '--setup is missing: give it, or setup = "NAME" in a site file'),

@@ -1,15 +1,29 @@
 """What a seat says of hand and robot agrees with the state, and leads on to motion."""
 
+import argparse
+import re
+from functools import cache
 from itertools import product
 from random import Random
 
 import msgspec.structs
 import pytest
 
+from pipelines.commands import stop, task
+from pipelines.mission.tmtc_messages import command_from_words
 from pipelines.session.access import PEOPLE, Role
 from pipelines.session.setup.segments import Segment
-from pipelines.session.situation import SIMULATED, Known, Next, Why, situation
+from pipelines.session.situation import (
+    SIMULATED,
+    Known,
+    Next,
+    Terminal,
+    Why,
+    at_terminal,
+    situation,
+)
 from telepresence.haptics.envelope import Hold
+from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 SPACE, GROUND = Segment.SPACE, Segment.GROUND
 REQUESTS = {
@@ -41,7 +55,10 @@ CHOICES = {
     "waits": (True, True, False),
     "partner": (False, False, False, True),
     "tasks": (False, True),
+    "offered": ("aiming", ""),
+    "terminal": (None, None, Terminal(), Terminal("lab-1")),
 }
+DICTIONARY = built_in_dictionary()
 
 
 def known_of(values, seat, role):
@@ -123,6 +140,7 @@ def test_no_sentence_contradicts_the_state_and_each_leads_on_to_motion():
     for known in states(100_000):
         told = situation(known)
         kinds.add((told.why, told.next))
+        assert not check_lines(told.advice) or known.terminal, (known, told)
         truth = moves_by_press(known)
         # "Press" is said if, and only if, a press would move the robot.
         asks = told.may or told.why is Why.PRESS
@@ -140,6 +158,43 @@ def test_no_sentence_contradicts_the_state_and_each_leads_on_to_motion():
         assert told.why is Why.FOLLOWS, (known, followed)
     assert {why for why, _ in kinds} == set(Why)
     assert {one for _, one in kinds} == set(Next) - {Next.RESTART}
+
+
+@cache
+def check_lines(advice):
+    """What a terminal advises is a command that its parser takes."""
+    lines = re.findall("`kontur-av (.*?)( --session lab-1)?`", advice)
+    for words in (line.split() for line, _ in lines):
+        if words[0] == "tc":
+            application = DICTIONARY.application(words[1])
+            command_from_words(application, words[2:], client="", number=0)
+        else:
+            parser = argparse.ArgumentParser()
+            {"stop": stop, "task": task}[words[0]].add_arguments(parser)
+            parser.parse_args(words[1:])
+    return bool(lines)
+
+
+def test_a_terminal_of_both_ends_says_what_one_of_them_says_and_its_lines_lead_on():
+    random, given = Random(2), 0
+    for _ in range(10_000):
+        values = {name: random.choice(of) for name, of in CHOICES.items()} | {"orders": True}
+        ends = {seat: known_of(values, seat, Role.OPERATOR) for seat in Segment}
+        for _ in range(15):
+            told = at_terminal(ends.values(), Terminal())
+            said = {seat: situation(known) for seat, known in ends.items()}
+            # Another seat has the same reason, and a hand that may move is barred at neither.
+            by = [seat for seat in Segment if (said[seat].why, said[seat].reason) == told[:2]]
+            assert by, (said, told)
+            others = [each for each in said.values() if each.why is not Why.PARTNER]
+            assert not told.may or all(each.may for each in others), (said, told)
+            if told.why is Why.FOLLOWS:
+                break
+            given += check_lines(told.advice)
+            # What one end learns of the robot the other one hears.
+            ends = {seat: follow(known, told) for seat, known in ends.items()}
+        assert told.may, (said, told)
+    assert given > 5_000
 
 
 def test_who_may_not_do_it_is_told_whom_to_ask():

@@ -1,7 +1,12 @@
 """Setups of files: every field, and one line for each value that cannot work."""
 
+import math
 import tomllib
+from copy import deepcopy
 from dataclasses import asdict, fields
+from datetime import date
+from functools import reduce
+from operator import getitem
 
 import pytest
 
@@ -238,3 +243,24 @@ def test_a_cap_that_does_not_fit_is_refused_with_one_that_does(tmp_path):
     assert capped(most).uplink_video.cap_bps == round(most * 1000)
     with pytest.raises(ConfigError):
         capped(most + 1.5)
+
+
+def places(table, before=()):
+    for name, value in table.items():
+        yield (*before, name)
+        if isinstance(value, dict):
+            yield from places(value, (*before, name))
+
+
+def test_a_value_of_any_kind_in_any_place_is_taken_or_refused_in_one_line():
+    odd = (3, 3.0, -1, True, 1e308, math.nan, 10**30, "", "x", "é" * 300, [], [1], ["x", "x"])
+    odd += ([[1, 2]], [{}], {}, {"x": 1}, {"x": {"y": []}}, date(2015, 8, 1))
+    every = tomllib.loads(EVERY_FIELD)
+    for place in places(every):
+        for value in odd:
+            table = deepcopy(every)
+            reduce(getitem, place[:-1], table)[place[-1]] = value
+            try:
+                load_setup(table)
+            except ConfigError as error:
+                assert len(str(error).splitlines()) == 1, (place, value)
