@@ -253,6 +253,7 @@ class _Joystick:
             mediated=setup.renders_walls,
             residual=setup.hand != "mediated",
             adaptive=setup.hand == "adaptive",
+            press_ratio=setup.press_ratio,
             handle=handle,
         )
         self._board = setup.partner_arm == "board"

@@ -313,6 +313,7 @@ class JoystickStatusTeller(WatchedTopic):
             person=handle.pressed_by_person,
             request=operation.due_request,
             command_age_ms=handle.command_age_ms,
+            presses_n=round(handle.presses_n, 1),
             axes=tuple(
                 AxisStatus(
                     name=axis.capabilities.name,

@@ -240,12 +240,6 @@ class Viewer:
                 self.decoded += [(picture.width, picture.height) for picture in found]
 
 
-def cpu_s(pid):
-    """CPU time of a process."""
-    words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
-
-
 class Audience:
     """One sender, `kontur-av publish`, and viewers of what Janus hands on. A context manager."""
 

@@ -161,7 +161,8 @@ export class HandPanel extends HTMLElement {
       start: this.#start,
       task: this.#task,
     });
-    this.#bar.show(this.#newest?.forceN ?? null, handle?.contact ?? false);
+    const pressesN = this.#seat?.connection.state?.joystick?.presses_n ?? 0;
+    this.#bar.show(this.#newest?.forceN ?? null, handle?.contact ?? false, pressesN);
   }
 
   /** @param {HandAction} action */

@@ -13,7 +13,7 @@ from telepresence.haptics.device.guest import HandleGuest
 from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
-from telepresence.haptics.device.supervision import Limits
+from telepresence.haptics.device.supervision import Limits, NoiseMeter
 from telepresence.haptics.haptic_metrics import JoystickMetrics, LoggedTransition
 from telepresence.haptics.sample import Drive, Feedback
 
@@ -36,6 +36,7 @@ class OperatedHandle:
     part of the operator's picture is.
     command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
     guest: a policy at the handle, which the caller sets; None: there can be none.
+    presses_n: how hard the robot presses; the caller sets it.
     more: the axes behind x and y; their middle is where the device reads 0. axes: their names, with
     what the setup says of them. plane: which of x and y there are; the others stay at 0.
 
@@ -64,6 +65,7 @@ class OperatedHandle:
         self.drive: Drive = ""
         self.frozen = False
         self.command_age_ms: int | None = None
+        self.presses_n = 0.0
         self.state = int(JoystickState.INIT)
         self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.capabilities.more]
         set_up_axes(self.more, axes, limits=False)
@@ -71,6 +73,8 @@ class OperatedHandle:
         self._plane = None if {"x", "y"} <= {*plane} else ("x" in plane, "y" in plane)
         self._axes: MoreAxes | None = cast(MoreAxes, device) if self.more else None
         self._known = JoystickState.INIT
+        #: Without motors nobody feels the noise.
+        self._noise = NoiseMeter() if device.capabilities.has_force else None
         self._placed = False
         self._leds = 0
         self._heard_ns = 0
@@ -141,6 +145,9 @@ class OperatedHandle:
             except Exception as error:
                 operation.handle_trouble(fault_of("read_more()", error), now_ns)
         state = operation.machine.state
+        noise = self._noise if state is JoystickState.APPLICATION else None
+        if noise is not None and (trouble := noise.handle_place(reading[0], reading[1])):
+            operation.handle_trouble(trouble, now_ns)
         if state is not self._known:
             self._known, self.state, self._placed = state, int(state), state in _PLACED
         if self._placed:

@@ -1,6 +1,6 @@
 """Interrupt a live session at random while a hand that never lets go by itself moves its robot.
 
-    python tests/interrupt.py --minutes 10 --seed 1
+    python .ci/interrupt.py --minutes 10 --seed 1
 
 Not part of CI. Processes are killed, or stopped for three seconds; the joystick is halted, the
 robot switched off, an emergency stop ordered, another camera selected. The hand moves all the time.
@@ -22,18 +22,21 @@ import time
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 from math import hypot, pi, sin
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent), str(HERE / "helpers")]
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "helpers")]
 
-from page_hand import PageHand  # noqa: E402
 from running_session import RunningSession, eventually  # noqa: E402
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock  # noqa: E402
 from kontur_av.topics.bus import TopicBus  # noqa: E402
+from pipelines.hand.hand_topics import HAND_INPUT_TOPIC  # noqa: E402
 from pipelines.hand.haptic_trace import NO_SAMPLE, ROBOT_TRACE_TOPIC, rows_of  # noqa: E402
+from pipelines.session.topic_ends import TopicWriter  # noqa: E402
+from telepresence.haptics.device.page import PageInput  # noqa: E402
 
 PERIOD_NS = 4 * NS_PER_MS
 #: A robot that was interrupted comes to rest in this time, and so does one that was let go.
@@ -76,14 +79,14 @@ class Hand(threading.Thread):
 
     def __init__(self, bus: TopicBus, log: Log, seed: int) -> None:
         super().__init__(daemon=True)
-        self.page = PageHand(bus)
+        self.page, self.numbers = TopicWriter(bus, HAND_INPUT_TOPIC), count(1)
         self.log, self.random = log, random.Random(seed)
         self.blocks = bus.reader(ROBOT_TRACE_TOPIC, depth=32)
         self.running = True
         self.received_ns = 0
 
     def run(self) -> None:
-        clock = self.page.clock
+        clock = MonotonicClock()
         due_ns = began_ns = clock.now_ns()
         pressed, until_ns = True, due_ns + 3 * NS_PER_S
         self.log.presses.append(due_ns)
@@ -97,7 +100,8 @@ class Hand(threading.Thread):
                 seconds = self.random.uniform(4, 14) if pressed else self.random.uniform(0.3, 1)
                 until_ns = now_ns + round(seconds * NS_PER_S)
             turn = 2 * pi * 0.4 * (now_ns - began_ns) / NS_PER_S
-            self.page.point(0.4 * sin(turn), 0.4 * sin(turn + 1.0), dead_man=pressed)
+            x, y = 0.4 * sin(turn), 0.4 * sin(turn + 1.0)
+            self.page.publish(PageInput(pressed, x, y, 0, next(self.numbers), now_ns), now_ns)
             self.read()
 
     def read(self) -> None:
