@@ -63,7 +63,11 @@ def test_the_documented_site_is_explained_without_secrets_and_nothing_is_made(
     words = ["--rtc", "--rtc-token-file", "token", "--files", "files", "--snapshots", "shots"]
     assert main(["stream", "lab.toml", "--explain", *words]) == 0
     printed = capsys.readouterr().out
-    for row in ("record off lab.toml", "foxglove 8765 common.toml", "source.head scene:head common"):
+    for row in (
+        "record off lab.toml",
+        "foxglove 8765 common.toml",
+        "source.head scene:head common",
+    ):
         assert re.search(row.replace(" ", " +"), printed)
     assert re.search(r"rtc_token_file +token +command line", printed)
     assert "nobody" not in printed and sorted(tmp_path.iterdir()) == before
