@@ -46,6 +46,7 @@ from telepresence.haptics.envelope import SafetyMetrics
 from telepresence.haptics.haptic_metrics import (
     JoystickMetrics,
     PortMetrics,
+    PressMetrics,
     SamplesReceived,
     SamplesSent,
     UdpMetrics,
@@ -80,6 +81,7 @@ TOLD: tuple[type, ...] = (
     SamplesSent,
     SamplesReceived,
     PortMetrics,
+    PressMetrics,
     WallMetrics,
     UdpMetrics,
     JoystickMetrics,

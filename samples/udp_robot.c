@@ -36,6 +36,9 @@ enum { POWER = 1, ACTIVE = 2 };                     /* of a robot: the states wa
 enum { CALIBRATED = 2, APPLICATION = 3 };           /* of a joystick: two of its states */
 enum { CONTACT = 1, DEAD_MAN = 2 };                 /* what a reading's detail can say */
 #define SILENCE_NS 50000000                         /* who hears nothing for so long stops */
+#ifndef MEASURES
+#define MEASURES 1                                  /* 0: the robot measures no force */
+#endif
 #define LIMIT_N 25.0                                /* the robot's largest force on an axis */
 
 /* SHA-256 (FIPS 180-4) and HMAC (RFC 2104) of keys with 32 octets. */
@@ -208,7 +211,7 @@ static uint8_t *put_facts(uint8_t *at)
     at = put_float(at, 0.0);                        /* of a joystick with motors: mass, */
     at = put_float(at, 0.0);                        /* Coulomb friction, */
     at = put_float(at, 0.0);                        /* and viscous friction */
-    at = put(at, 0, 1);                             /* buttons */
+    at = put(at, role == ROBOT && !MEASURES, 1);    /* buttons; of a robot 1: it measures no force */
     at = put(at, 0, 1);                             /* LEDs */
     at = put_float(at, role == ROBOT ? 0.15 : 0.12); /* half the workspace along x, m */
     at = put_float(at, role == ROBOT ? 0.10 : 0.08); /* and along y */
@@ -280,7 +283,7 @@ static size_t measure(uint8_t *out)
     end = put(put(end, 0, 2), 0, 2);            /* no button pressed, no error, so no text */
     end = put(end, 0x7fc00000, 4);              /* not a number: no thermometer */
     for (int i = 0; i < axes; i++)
-        end = put_float(put_float(put_float(end, place[i]), speed[i]), i ? 0.0 : wall());
+        end = put_float(put_float(put_float(end, place[i]), speed[i]), i || !MEASURES ? 0.0 : wall());
     return sealed(out, end, now.readings);
 }
 

@@ -136,6 +136,12 @@ def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
         elif index == "...":
             # A value of a mapping; msgspec does not say which key it belongs to.
             name = path.partition("[...]")[0].removeprefix(".")
+            for of, one in value.items() if is_dataclass(holder) and holder is not kind else ():
+                try:
+                    typed(one, holder, "")
+                except ConfigError as error:
+                    told = str(error)
+                    return f"{name}.{of}{'' if told.startswith(' ') else '.'}{told}"
             return f"{name} must be {_wanted(wrong, name, field, holder)} throughout"
         else:
             value = value[int(index)]

@@ -53,5 +53,5 @@ def state_words(answer: AuthorityAnswer) -> str:
     if not answer.authority:
         return f"nobody drives; {answer.wanted} will, once the robot rests"
     if answer.waiting:
-        return f"{answer.authority} drives, once the dead-man button was released and pressed"
+        return f"{answer.authority} drives, once the dead-man button is pressed anew"
     return f"{answer.authority} drives"

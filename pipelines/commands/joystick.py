@@ -15,9 +15,9 @@ from pipelines.report.report_file import WordsConsole, check_writable, write_rep
 from pipelines.session.command_process import ended_alike, output_that_may_fail, stopped_by_signals
 from pipelines.session.option_rows import add_actions
 from telepresence.haptics.device.checks import CHECKS, CheckBench
-from telepresence.haptics.device.gamepad import GamepadDevice, find_gamepads
+from telepresence.haptics.device.gamepad import GamepadDevice, asked_map, find_gamepads
 from telepresence.haptics.device.simulated import FAULTS
-from telepresence.haptics.device.stick_map import StickMap, asked_map
+from telepresence.haptics.device.stick_map import StickMap
 from telepresence.haptics.specs import PAGE, ROS2_HAND, is_simulated, open_alone
 
 _ALL = "all"

@@ -19,7 +19,7 @@ from pipelines.session.setup.table import RtcLeg, Setup
 from pipelines.session.topology.table import SessionOptions, Topology
 from pipelines.session.topology.topics import JOYSTICK, PAGES, TASKS
 from pipelines.table import topology_of
-from telepresence.haptics.device.stick_map import asked_map
+from telepresence.haptics.device.gamepad import asked_map
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import (
     SIMULATED,

@@ -36,7 +36,7 @@ from telepresence.haptics.device.device import (
 )
 from telepresence.haptics.device.script import Figure
 from telepresence.haptics.device.states import JoystickState
-from telepresence.haptics.device.supervision import Limits
+from telepresence.haptics.device.supervision import MOST_NOISE_UM, Limits
 from telepresence.haptics.robot import LEAST_FORCE_HZ, RobotCapabilities
 from telepresence.haptics.robot_device import RobotDevice, RobotReading
 from telepresence.haptics.schedule import PeriodicSchedule
@@ -220,9 +220,6 @@ class RobotCheck(DeviceCheck[RobotReading]):
 #: The whole force is exerted this long, so that the handle stays slow.
 _WHOLE_NS = 10 * NS_PER_MS
 _REST = (0.0, 0.0)
-#: Standard deviation of a place from one cycle to the next. At 50 µm the force jumps by 1.7 N in a
-#: millisecond, at 100 µm by 3.9 N.
-_MOST_NOISE_UM = 20
 
 
 class JoystickCheck(DeviceCheck[JoystickReading]):
@@ -242,7 +239,7 @@ class JoystickCheck(DeviceCheck[JoystickReading]):
         """Without a force it stands still, and its sensors do not tremble."""
         readings = self._cycles(SPELL_NS, lambda _: _REST)
         steps = np.diff([(one.x_m, one.y_m) for one in readings], axis=0)
-        noise = Figure("noise", float(np.nanstd(steps)) / sqrt(2) * 1e6, "µm", most=_MOST_NOISE_UM)
+        noise = Figure("noise", float(np.nanstd(steps)) / sqrt(2) * 1e6, "µm", most=MOST_NOISE_UM)
         return (*self._still(readings), noise)
 
     def zero(self) -> tuple[Figure, ...]:

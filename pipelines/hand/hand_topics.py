@@ -112,7 +112,9 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     by the figures' names; None where nothing could be.
     experiment: of the present or the next application. partner: whether a partner's robot is
     there; None: the session has none.
-    handed: number of the newest telecommand that hands over, and to whom, "policy" or "person".
+    handed: number of the newest command that hands over, and to whom, "policy" or "person".
+    person: a person presses the dead-man button, where a policy could, too.
+    presses_n: how hard the robot presses (N), as far as is known here.
     """
 
     state: int
@@ -147,6 +149,8 @@ class JoystickStatus(msgspec.Struct, frozen=True, kw_only=True, array_like=True)
     held: bool = False
     request: str = ""
     handed: tuple[int, str] = (0, "")
+    person: bool = False
+    presses_n: float = 0.0
 
 
 JOYSTICK_STATE_TOPIC = Topic[JoystickStatus](
@@ -161,7 +165,7 @@ AUTHORITIES = tuple(authority.value for authority in Authority)
 
 
 class ArmState(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """Who drives; "": nobody. waiting: for a released dead-man button."""
+    """Who drives; "": nobody. waiting: for a new press of the dead-man button."""
 
     authority: str = ""
     wanted: str = ""
@@ -191,7 +195,7 @@ class AuthorityRequest(msgspec.Struct, frozen=True):
 
 
 class AuthorityAnswer(msgspec.Struct, frozen=True, kw_only=True, tag=True):
-    """Who drives; "": nobody. waiting: for a released dead-man button."""
+    """Who drives; "": nobody. waiting: for a new press of the dead-man button."""
 
     authority: str
     wanted: str

@@ -13,7 +13,8 @@ from telepresence.haptics.bilateral import Handle, HeldJoystick, JoystickSide, R
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.states import ExperimentName
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.haptic_metrics import WallMetrics
+from telepresence.haptics.haptic_metrics import PressMetrics, WallMetrics
+from telepresence.haptics.joystick_controller import PRESS_RATIO
 from telepresence.haptics.loop import joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.robot import Robot
@@ -271,7 +272,7 @@ class JoystickEnd(_End[JoystickSide]):
         is reported, too.
     boot_id, command_hz: as in `robot_side`.
     mediated, residual, adaptive: the hand feels the wall that `handle_wall` takes (see
-        `JoystickSide`).
+        `JoystickSide`, also for `press_ratio`).
     """
 
     def __init__(
@@ -284,6 +285,7 @@ class JoystickEnd(_End[JoystickSide]):
         mediated: bool = False,
         residual: bool = False,
         adaptive: bool = False,
+        press_ratio: float = PRESS_RATIO,
         handle: Handle | OperatedHandle | None = None,
     ) -> None:
         more = 0 if handle is None else len(handle.more)
@@ -295,6 +297,7 @@ class JoystickEnd(_End[JoystickSide]):
             residual=residual,
             adaptive=adaptive,
             felt=command_hz is None,
+            press_ratio=press_ratio,
         )
         super().__init__(side, probe)
         self.handle_wall = self.side.handle_wall
@@ -338,6 +341,7 @@ class JoystickEnd(_End[JoystickSide]):
             self._publish_hand(feedback)
         if self._operated is not None:
             self._operated.command_age_ms = self.side.link.told_age_ms
+            self._operated.presses_n = self.side.controller.presses_n
         self._cycle(now_ns, advance_ns)
         if self.trace.rows is not None:
             self._add_row(now_ns, feedback)
@@ -346,6 +350,14 @@ class JoystickEnd(_End[JoystickSide]):
         """Put the counters and stamps into the probe, and the instants of the force's steps."""
         super().publish()
         controller = self.side.controller
+        if self.side.felt:
+            self._probe.publish(
+                PressMetrics(
+                    presses_n=round(controller.presses_n, 2),
+                    gives_n=round(controller.gives_n, 2),
+                    beyond_n=round(controller.beyond_n, 2),
+                )
+            )
         if isinstance(controller, MediatedController):
             renderer = controller.renderer
             self._probe.publish(

@@ -54,6 +54,7 @@ from pipelines.session.topology.topics import JOYSTICK, ROBOT, WALL_TOPIC
 from pipelines.session.training import TRAINER_TOPIC
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
 from telepresence.haptics.device.device import JoystickDevice
+from telepresence.haptics.device.guest import HandleGuest
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import NO_PICTURE, PageDevice, PageInput
 from telepresence.haptics.device.simulated import SimulatedDevice
@@ -62,7 +63,7 @@ from telepresence.haptics.hand import Hand
 from telepresence.haptics.haptic_metrics import HandInputMetrics
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.robot_device import DrivenRobot, RobotDevice
-from telepresence.haptics.specs import open_device, open_robot
+from telepresence.haptics.specs import PAGE, open_device, open_robot
 from telepresence.haptics.udp_devices import UdpJoystick, UdpRobot
 from telepresence.tasks.cosmonaut import LOOK_NS, Cosmonaut, Skill
 from telepresence.tasks.definitions import ControlMode
@@ -252,6 +253,7 @@ class _Joystick:
             mediated=setup.renders_walls,
             residual=setup.hand != "mediated",
             adaptive=setup.hand == "adaptive",
+            press_ratio=setup.press_ratio,
             handle=handle,
         )
         self._board = setup.partner_arm == "board"
@@ -270,6 +272,11 @@ class _Joystick:
         self._lags = TopicReader(bus, topology.video(setup.uplink_video.name).lag_topic)
         self._walls = TopicReader(bus, WALL_TOPIC, opened=WALL_TOPIC in reads)
         self._exercises = TopicReader(bus, TRAINER_TOPIC, opened=TRAINER_TOPIC in reads)
+        #: A page moves its own device, a policy any other's handle.
+        self._guest: TopicReader[PageInput] | None = None
+        if HAND_INPUT_TOPIC in reads and topology.options.joystick != PAGE:
+            handle.guest = HandleGuest(handle.more)
+            self._guest = TopicReader(bus, HAND_INPUT_TOPIC)
         self._eyes: _CosmonautEyes | _HandEyes | None = None
         if isinstance(hand, Cosmonaut):
             self._eyes = _CosmonautEyes(bus, hand, handle)
@@ -280,6 +287,9 @@ class _Joystick:
         handle = self._handle
         self._traced.publish(now_ns)
         self._serve(now_ns)
+        if self._guest is not None and (hand := self._guest.latest()) is not None:
+            assert handle.guest is not None
+            handle.guest.handle_input(hand, now_ns - hand.received_ns)
         if self._board:
             self.end.follow_experiment()
         # After what takes orders, so that a restarted process knows them.
@@ -288,6 +298,8 @@ class _Joystick:
             self._view.handle_shown(*lag)
         device = handle.device
         painted_ns = device.picture_ns if isinstance(device, PageDevice) else NO_PICTURE
+        if handle.guest is not None and handle.guest.drives:
+            painted_ns = handle.guest.picture_ns
         handle.blind = self._view.is_blind(now_ns, painted_ns)
         # There are at most ten a second.
         if (wall := self._walls.latest()) is not None:
@@ -405,9 +417,9 @@ def run_joystick(context: Context, *, skill: float | None = None, taps: bool = F
         shell = _Joystick(context, bus, device, hand)
         before = None
         reads = topology.reads(JOYSTICK)
-        inputs = [topic for topic in (HAND_INPUT_TOPIC, ROS2_HAND_TOPIC) if topic in reads]
-        if isinstance(device, PageDevice) and inputs:
-            before = PageHand(context, bus, device, inputs[0]).take
+        topic = HAND_INPUT_TOPIC if options.joystick == PAGE else ROS2_HAND_TOPIC
+        if isinstance(device, PageDevice) and topic in reads:
+            before = PageHand(context, bus, device, topic).take
         port, gateway_port = session_ports(topology, JOYSTICK)
         send = context.own_sender(gateway_port)
         run_loop(context, shell.end, port, send, before=before, seldom=shell.seldom)

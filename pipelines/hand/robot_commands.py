@@ -281,7 +281,7 @@ class JoystickStatusTeller(WatchedTopic):
             handle.frozen,
         )
         experiment = (operation.experiment, operation.partner, operation.handed)
-        hand = (operation.state, handle.dead_man, handle.pressed, reason)
+        hand = (operation.state, handle.dead_man, handle.pressed, handle.pressed_by_person, reason)
         present = (*hand, operation.held, test, *experiment, answered, commanded, *robot)
         if present == self._told and now_ns < self._anew_ns:
             return None
@@ -309,9 +309,11 @@ class JoystickStatusTeller(WatchedTopic):
             drive=handle.drive,
             blind=handle.blind,
             frozen=handle.frozen,
-            held=operation.held,
+            held=operation.held or (handle.guest is not None and handle.guest.drives),
+            person=handle.pressed_by_person,
             request=operation.due_request,
             command_age_ms=handle.command_age_ms,
+            presses_n=round(handle.presses_n, 1),
             axes=tuple(
                 AxisStatus(
                     name=axis.capabilities.name,

@@ -105,7 +105,7 @@ def process_rows(session: Topology) -> tuple[ProcessRow, ...]:
                 WALL_TOPIC,
                 # How old the picture is that the operator sees.
                 session.video(setup.uplink_video.name).lag_topic,
-                *given(options.joystick == PAGE, HAND_INPUT_TOPIC, DRIVER_TOPIC),
+                *given(options.pages or options.joystick == PAGE, HAND_INPUT_TOPIC, DRIVER_TOPIC),
                 *given(options.joystick == ROS2_HAND, ROS2_HAND_TOPIC),
                 HAND_REQUEST_TOPIC,
                 JOYSTICK_COMMAND_TOPIC,

@@ -48,7 +48,7 @@ class Driving(Closing):
     """The place of a policy's program in a session: `step`, `wait`; or `observe`, then `act`.
 
     name: of the policy. hz: of its steps. shadow: its commands are recorded, and never obeyed.
-    Raises ConfigError where no page moves the joystick, or the robot is on another machine.
+    Raises ConfigError where the session serves no pages, or the robot is on another machine.
     """
 
     def __init__(
@@ -82,8 +82,8 @@ class Driving(Closing):
             if self._due_ns > until_ns or not self.wait():
                 bus.close()
                 raise ConfigError(
-                    "no page moves its joystick, or the robot is elsewhere: start "
-                    "the session with --joystick page, and the policy beside the robot"
+                    "it has no operator's page, or the robot is elsewhere: start the "
+                    "session without --no-page, and the policy beside the robot"
                 )
         self._fault, self._rest = "", dict[str, float]()
         self.observe()

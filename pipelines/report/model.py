@@ -40,6 +40,7 @@ from telepresence.haptics.haptic_metrics import (
     JoystickMetrics,
     OperationMetrics,
     PortMetrics,
+    PressMetrics,
     RobotMetrics,
     SamplesReceived,
     SamplesSent,
@@ -164,6 +165,8 @@ class HapticReport(Report, frozen=True, kw_only=True):
     port: PortMetrics
     #: The same of each axis behind x and y.
     axes: dict[str, PortMetrics] | None = None
+    #: How hard the robot presses; of the joystick's end.
+    press: PressMetrics | None = None
 
 
 class NeedReport(Report, frozen=True, kw_only=True):

@@ -32,6 +32,7 @@ from telepresence.haptics.envelope import SafetyMetrics
 from telepresence.haptics.haptic_metrics import (
     JoystickMetrics,
     PortMetrics,
+    PressMetrics,
     RobotMetrics,
     SamplesReceived,
     SamplesSent,
@@ -226,6 +227,7 @@ def haptic_report(
         loop=sender.total(LoopMetrics),
         port=sender.total(PortMetrics),
         axes=axes or None,
+        press=sender.find(PressMetrics),
     )
 
 

@@ -102,7 +102,7 @@ class SeatPlan:
     previews: topics with the small pictures of inputs, by their numbers in messages.
     shown: what processes of the mission show here: by kind of text, the topic.
     traits: its end's; orders: whether its pages may start and stop the session.
-    axes: of the robot, as a policy has them; none where no page moves the joystick.
+    moved: a page moves the joystick. axes: of the robot, as a policy has them.
     """
 
     segment: Segment
@@ -114,6 +114,7 @@ class SeatPlan:
     text: texts.SeatText
     dictionary: Dictionary
     traits: EndTraits
+    moved: bool
     axes: tuple[PolicyAxis, ...]
     shown: Mapping[str, AnyTopic] = field(default_factory=dict)
 
@@ -193,7 +194,8 @@ def seat_plan(
         dictionary=dictionary,
         shown={kind: topic for kind, topic in _SHOWN[segment].items() if topic in written},
         traits=EndTraits.of(topology, segment),
-        axes=policy_axes(setup.axes, setup.more_axes) if moved else (),
+        moved=moved,
+        axes=policy_axes(setup.axes, setup.more_axes),
         text=text,
     )
 

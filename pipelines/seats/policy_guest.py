@@ -26,18 +26,31 @@ _HALVES_S = 2.0
 _MOST_STEP_NS = 50 * NS_PER_MS
 
 
+#: Where pages do not move the joystick: the number of the person who does.
+PERSON = 0
+
+
 class PolicyGuest:
     """The policy that is there, if any. Call `poll` every 10 ms while `name` is not empty.
 
-    numbers: of the seat's pages; a policy that comes takes the next one.
+    numbers: of the seat's pages; a policy that comes takes the next one. device: of a joystick that
+    no page moves; "" if one does. Its person has the handle while the dead-man button is pressed.
     name: of the policy. events: who drove, and why a policy let go. driven_ns: for how long a
     `person` and a `policy` had the handle.
     """
 
     def __init__(
-        self, axes: Sequence[PolicyAxis], ownership: HandleAuthority, numbers: Iterator[int]
+        self,
+        axes: Sequence[PolicyAxis],
+        ownership: HandleAuthority,
+        numbers: Iterator[int],
+        *,
+        device: str = "",
     ) -> None:
         self._axes, self._ownership, self._numbers = axes, ownership, numbers
+        self._device = device
+        if device:
+            ownership.handle_joined(PERSON, f"the joystick {device}")
         self.name = ""
         #: It has the handle, then presses the dead-man button.
         self._turn = self._pressed = False
@@ -85,6 +98,10 @@ class PolicyGuest:
     def handle_status(self, status: JoystickStatus, now_ns: int) -> None:
         """The joystick has told its state; by a telecommand it hands over."""
         before, self._status, self._told_ns = self._status, status, now_ns
+        if self._device and status.person:
+            self._ownership.handle_take(PERSON)
+        elif self._device:
+            self._ownership.handle_give(PERSON)
         if before is not None and before.handed != status.handed:
             if status.handed[1] == JoystickEvent.PERSON.value:
                 self._ownership.handle_give(self._ownership.policy)
@@ -95,6 +112,11 @@ class PolicyGuest:
         """A person at `page` lets the policy drive; None: by a telecommand. Return why not."""
         why = self._hindrance(now_ns) if self.name else "none is there"
         return f"policy: {why}" if why else self._ownership.handle_let(page)
+
+    def handle_back(self) -> str:
+        """A person at a page, which moves no joystick, ends the policy's turn; return why not."""
+        refusal = self._ownership.handle_give(self._ownership.policy)
+        return f"the joystick {self._device} steers" if refusal else ""
 
     def settle(self, now_ns: int) -> None:
         """See whether the handle has changed hands."""

@@ -18,7 +18,7 @@ from pipelines.seats.mission_client import MissionClient
 from pipelines.seats.open_page import ClientQueue, Message, OpenPage, SeatMedia
 from pipelines.seats.page_metrics import HOLDER
 from pipelines.seats.plan import SeatPlan, Shown
-from pipelines.seats.policy_guest import PolicyGuest
+from pipelines.seats.policy_guest import PERSON, PolicyGuest
 from pipelines.session.access import VIEWER_WORDS, Role, place_name, refusal
 from pipelines.session.mission_messages import ExperimentShown, PanelShown, RobotStatus
 from pipelines.session.page_messages import Ping, pack_pong, parse_seat_message
@@ -140,7 +140,8 @@ class Seat:
             "refuse": self._hand.handle_refuse,
         }
         self._gate = HandGate(self._hand)
-        self.policy = PolicyGuest(plan.axes, self._hand, self._numbers)
+        device = "" if plan.moved else plan.traits.device
+        self.policy = PolicyGuest(plan.axes, self._hand, self._numbers, device=device)
         self._driver_due_ns = 0
         self._service = JoystickClient(first_command)
         self.mission = MissionClient(
@@ -196,7 +197,8 @@ class Seat:
         page = self._pages[number] = OpenPage(
             role, number=number, queue=ClientQueue(lanes), name=name, plain=plain
         )
-        if role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand"):
+        may = role is Role.OPERATOR or not refusal(role, self.plan.segment, "hand")
+        if may and self.plan.moved:
             self._hand.handle_joined(number, name)
         seat = replace(self.plan.text, streams=(), previews=()) if plain else self.plan.text
         now_us = now_ns // NS_PER_US
@@ -302,6 +304,8 @@ class Seat:
                 self._service.handle_request(number, request.request, event)
             case texts.HandleRequest(action="policy"):
                 return self.policy.handle_let(number, now_ns)
+            case texts.HandleRequest() if not self.plan.moved:
+                return self.policy.handle_back()
             case texts.HandleRequest():
                 return self._hand_over[request.action](number)
             case texts.SessionRequest():
@@ -492,7 +496,7 @@ class Seat:
             now_ns,
             connected=self._connected,
             runs=self._runs,
-            holder=self._hand.name(hand.holder) if hand.holder not in (None, number) else "",
+            holder="" if hand.holder in (number, PERSON) else self._hand.name(hand.holder),
         )
 
     def _publish_mission(self) -> None:

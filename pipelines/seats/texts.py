@@ -216,7 +216,7 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     x and y. request: which leads on; "": none does. test, test_reason: what became of the newest
     functional test. experiment: of the present or the next application. partner: whether a
     partner's robot is there; null: there can be none. command_age_ms: how old the commands are that
-    the robot gets, at most, to 50 ms.
+    the robot gets, at most, to 50 ms. presses_n: how hard the robot presses, as the joystick knows.
     """
 
     state: str
@@ -231,6 +231,7 @@ class JoystickText(msgspec.Struct, frozen=True, kw_only=True):
     experiment: str = "german experiment"
     partner: bool | None = None
     command_age_ms: int | None = None
+    presses_n: float = 0.0
     request: str = ""
 
 

@@ -406,6 +406,7 @@ class Simulation:
             mediated=mediated,
             residual=residual,
             adaptive=self.setup.hand == "adaptive",
+            press_ratio=self.setup.press_ratio,
             handle=handle,
         )
         return robot, joystick

@@ -23,8 +23,8 @@ from telepresence import (
 )
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-#: At first (rad): over the block, jaws down and open. In the model the arm's joints come first.
-HOME_RAD, ARM = (0.0, -0.1, -0.2, 1.65, 1.57, 1.4), slice(0, 6)
+#: At first (rad): behind the block, jaws down and open. In the model the arm's joints come first.
+HOME_RAD, ARM = (0.124, -0.1, -0.2, 1.65, 1.747, 1.4), slice(0, 6)
 #: The model's x, y and z are z, x and y of the session: towards its camera, right, and up.
 MIDDLE_M = np.array([0.225, 0.0, 0.11])
 #: By axis behind x and y: half its range, force limit and speed (m, N, m/s; rad, N m, rad/s).
@@ -32,6 +32,8 @@ MORE = {"z": (0.09, 12.0, 0.2), "roll": (1.2, 0.8, 1.5), "gripper": (0.02, 12.0,
 #: The gripper's joint, and its axis, from shut to open. The model's pads hold the block at `GRASP`.
 GRIPPER_RAD, GRIPPER_M, GRASP_RAD = (-0.1745, 1.7453), (-0.02, 0.02), 0.46
 PADS = ("fixed_jaw_pad", "moving_jaw_pad")
+#: One jaw is fixed. By so much the hand may miss the block's middle before that jaw meets its edge.
+CLEAR_M = 0.008
 #: A joint's largest speed. By so much it stays behind its order: its damping over its stiffness.
 MOST_RAD_S, LEAD_S = 1.5, 0.034
 #: In cycles of 1 ms: of inverse kinematics, and of a step of the model.
@@ -64,7 +66,8 @@ def load(*, block: bool = True) -> Any:
     data.joint("gripper").qpos = GRASP_RAD
     mujoco.mj_forward(model, data)
     hand, turn = data.body("gripper"), spec.site("gripperframe").quat
-    middle = np.mean([data.geom(pad).xpos for pad in PADS], axis=0) - hand.xpos
+    fixed, moving = (data.geom(pad).xpos - hand.xpos for pad in PADS)
+    middle = (fixed + moving) / 2 + CLEAR_M * (moving - fixed) / np.linalg.norm(moving - fixed)
     place = hand.xmat.reshape(3, 3).T @ middle
     spec.body("gripper").add_site(name="grasp", pos=place, quat=turn)
     for part in () if block else (*spec.sensors, *spec.lights, spec.body("block")):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from math import hypot, nan
 from typing import Any, Protocol
 
-from kontur_av.clock import NS_PER_MS
+from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.authority import ControlAuthority
 from telepresence.haptics.axes import MoreAxis
 from telepresence.haptics.axes_control import JoystickAxes, RobotAxes
@@ -18,7 +18,11 @@ from telepresence.haptics.envelope import Hold, SafetyEnvelope
 from telepresence.haptics.hand import TAP_TARGETS, Hand, HandModel, Waypoint
 from telepresence.haptics.haptic_metrics import PortMetrics
 from telepresence.haptics.joystick import Joystick
-from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
+from telepresence.haptics.joystick_controller import (
+    PRESS_RATIO,
+    JoystickController,
+    JoystickControllerModel,
+)
 from telepresence.haptics.loop import HapticLink, joystick_link, robot_link
 from telepresence.haptics.mediated.controller import MediatedController
 from telepresence.haptics.mediated.estimator import Residual, WallEstimator
@@ -135,6 +139,7 @@ class JoystickSide(_Side):
     residual: with `mediated`, also what that wall does not explain of the robot's.
     adaptive: with both, directly until the robot tells its first wall.
     felt: if False, the hand feels no force and no damping.
+    press_ratio: how many times as hard as the hand feels the robot may press, beside 2 N.
 
     force_x_n, force_y_n: the force displayed now (N).
     """
@@ -152,6 +157,7 @@ class JoystickSide(_Side):
         residual: bool = False,
         adaptive: bool = False,
         felt: bool = True,
+        press_ratio: float = PRESS_RATIO,
     ) -> None:
         self.felt = felt
         passive = passive and felt
@@ -161,6 +167,7 @@ class JoystickSide(_Side):
             if mediated
             else JoystickController(model, passive=passive)
         )
+        self.controller.press_ratio = press_ratio
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
         self._last_ns = NS_PER_MS
         self._restarts = 0
@@ -293,6 +300,8 @@ class RobotSide(_Side):
             estimator.publish_again()
         if envelope is not None:
             envelope.command_age_ns = self.link.command_age_ns(now_ns)
+        direct = controller.passive and (estimator is None or estimator.told is None)
+        controller.trip_s = (self.link.round_trip_ns or 0) / NS_PER_S if direct else None
         acted = self._advance(now_ns, advance_ns)
         contact = robot.contact or (
             self.axes is not None and any(axis.contact for axis in robot.more)

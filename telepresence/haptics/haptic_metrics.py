@@ -160,3 +160,15 @@ class WallMetrics:
     walls_stale: int = 0
     #: Datagrams that are not such a message.
     walls_garbage: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PressMetrics:
+    """How hard the robot presses against what the hand gives, along x and y (`JoystickSide`)."""
+
+    #: How hard the robot presses now, by its newest sample or by the rendered wall.
+    presses_n: Newest[float] = 0.0
+    #: What the hand gives against it now: the force of the handle's motors.
+    gives_n: Newest[float] = 0.0
+    #: The most by which the robot has pressed harder than the hand gave.
+    beyond_n: Most[float] = 0.0

@@ -30,6 +30,8 @@ _ROUNDING_J = 0.5e-6
 _STARVED_S = 0.1
 #: A force this near to the wanted one has returned.
 _RETURNED_N = 0.05
+#: The robot presses at most `press_ratio` times as hard as the hand feels, and this much more.
+PRESS_RATIO, PRESS_N = 1.25, 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,6 +41,8 @@ class JoystickControllerModel:
     force_scale: displayed force over the robot's force.
     damping_n_s_m, most_damping_n_s_m: damping that the hand feels while the credit is whole, and
     while it lacks. The energy that it takes out of the hand moves the robot and pays for its force.
+    press_damping_n_s_m: as the latter, while the hand moves against the force of a contact. What a
+    delay costs is a damping of the wall's stiffness times the round trip.
     damping_s: time constant with which the damping follows the credit.
     starved_s: the damping stays this long after the robot's credit has lacked.
     rate_n_s, damping_rate_n_s: fastest change of the displayed force and of the damping force.
@@ -55,6 +59,7 @@ class JoystickControllerModel:
     force_scale: float = 1.0
     damping_n_s_m: float = 4.0
     most_damping_n_s_m: float = 20.0
+    press_damping_n_s_m: float = 100.0
     damping_s: float = 0.2
     starved_s: float = 1.0
     rate_n_s: float = 800.0
@@ -82,9 +87,14 @@ class JoystickController(PortController):
     most_j: the robot's force may give out no more than this, whatever the credit; set it before a
     step.
     held_back_m: the place that the robot is told, less that of the handle (m, m).
+    press_ratio: how many times as hard as the hand feels the robot may press; the caller sets it.
+    presses_n, gives_n: how hard the robot presses, as far as is known here, and the motors' answer.
+    beyond_n: how much more the robot has pressed at most.
     """
 
     held_back_m = (0.0, 0.0)
+    press_ratio = PRESS_RATIO
+    presses_n = gives_n = beyond_n = 0.0
     spared_j = 0.0
     most_j = inf
 
@@ -110,6 +120,8 @@ class JoystickController(PortController):
         self._regaining = False
         self._vx = self._vy = 0.0
         self._silent_s = 0.0
+        #: Direction of the robot's newest force; (0, 0) without contact.
+        self._out = (0.0, 0.0)
         #: From 0 to 1: how much the robot has lacked credit of late.
         self._starved = 0.0
         self._margin_m = model.acceleration_m_s2 * _CYCLE_S * _CYCLE_S
@@ -157,7 +169,25 @@ class JoystickController(PortController):
                 self._return_surplus(feedback, dt_s)
         self._gx, self._gy, self._bx, self._by = gx, gy, bx, by
         self._fx, self._fy = gx + bx, gy + by
+        if feedback is not None:
+            self._note_press(feedback)
         return self._fx, self._fy
+
+    def _note_press(self, feedback: Feedback) -> None:
+        """Note how hard the robot presses, and whence."""
+        out_x, out_y = feedback[0], feedback[1]
+        presses_n = sqrt(out_x * out_x + out_y * out_y)
+        self._compare(presses_n, sqrt(self._gx * self._gx + self._gy * self._gy))
+        touches = feedback[3] and presses_n > 0.0
+        self._out = (out_x / presses_n, out_y / presses_n) if touches else (0.0, 0.0)
+
+    def most_press_n(self, gives_n: float) -> float:
+        """Return how hard the robot may press (N) while the motors give the hand `gives_n`."""
+        return PRESS_N + self.press_ratio * gives_n
+
+    def _compare(self, presses_n: float, gives_n: float) -> None:
+        self.presses_n, self.gives_n = presses_n, gives_n
+        self.beyond_n = max(self.beyond_n, presses_n - gives_n)
 
     def _hear(self, feedback: Feedback | None, dt_ns: int) -> None:
         """Take the robot's grant and its force; without samples the force decays."""
@@ -271,7 +301,11 @@ class JoystickController(PortController):
 
     def _damped(self, vx: float, vy: float, most: float) -> tuple[float, float]:
         """Return the damping force (N, N), which changes by `most` (N) at most."""
-        damping, bx, by = self.damping_n_s_m, self._bx, self._by
+        model, damping, bx, by = self.model, self.damping_n_s_m, self._bx, self._by
+        least, most_damping = model.damping_n_s_m, model.most_damping_n_s_m
+        if damping > least and self._out[0] * vx + self._out[1] * vy < 0.0:
+            lack = (damping - least) / (most_damping - least)
+            damping += lack * (model.press_damping_n_s_m - most_damping)
         change_x, change_y = -damping * vx - bx, -damping * vy - by
         change = sqrt(change_x * change_x + change_y * change_y)
         share = most / change if change > most else 1.0

@@ -19,8 +19,14 @@ _NO_COST_J = 1e-18
 #: speed on, the force along the tip's motion falls from so much to nothing, and beyond it brakes.
 #: With a lower greatest speed it falls within less, but with no slope that 0.5 kg cannot follow.
 _SLOWING_N, _SLOWING_M_S, _LEAST_SLOWING_M_S = 25.0, 0.1, 0.0625
-#: A hand rests while it is this near (m) to its smoothed position, with this time constant (s).
-_REST_M, _REST_S = 0.002, 0.1
+#: A hand rests while it is this near (m) to its smoothed position, with this time constant (s). A
+#: tremor costs the robot's damper more than it gives. So when the hand has rested for so long (s)
+#: in contact, a robot that is short of credit follows the smoothed position.
+_REST_M, _REST_S, _RESTED_S = 0.002, 0.1, 0.3
+#: While the joystick lacks the credit to show a press, the press decays, and its energy pays for
+#: what is shown. So the robot does not press harder than the hand feels for long. Its time constant
+#: (s) is this and so many round trips; the lack is smoothed with the other one.
+_UNFELT_S, _UNFELT_TRIPS, _LACK_S, _LEAST_LACK = 0.5, 8.0, 0.2, 0.05
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -74,6 +80,7 @@ class RobotController(PortController):
     holding: the reference follows no command.
     speed_m_s: limit of the reference's speed; the caller may lower it.
     letting_go: the press decays, whatever the command; for the caller to set.
+    trip_s: the measured round trip, for the caller to set; None: the hand feels a rendered wall.
     acted: number of steps that cost more than the credit.
     """
 
@@ -94,13 +101,17 @@ class RobotController(PortController):
         self.speed_m_s = model.speed_m_s
         self.holding = True
         self.letting_go = False
+        self.trip_s: float | None = None
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
         #: Follows the received position with the time constant `_REST_S`.
         self._slow_x, self._slow_y = x_m, y_m
         self._silent_s = 0.0
-        #: By the newest command, if there is one, the hand rests.
+        #: By the newest command, if there is one, the hand rests; and for how long.
         self._rests = False
+        self._rested_s = 0.0
+        #: From 0 to 1: how often the joystick has lacked the credit to show a press of late.
+        self._unfelt = 0.0
 
     def release(self, x_m: float, y_m: float) -> None:
         """Another mode drives the robot: move the reference to the tip, and lose the energy."""
@@ -133,7 +144,7 @@ class RobotController(PortController):
         else:
             port.handle_total(command[2], dt_ns)
             self._silent_s = 0.0
-        vx, vy = self._wanted(command, x_m, y_m, dt_s)
+        vx, vy = self._wanted(command, x_m, y_m, dt_s, touching)
         most = port.credit_j
         if self._rests and not touching:
             most *= dt_s / (dt_s + model.spend_s)
@@ -170,7 +181,7 @@ class RobotController(PortController):
         return self._slowed(fx, fy, vx_m_s, vy_m_s)
 
     def _wanted(
-        self, command: Command | None, x_m: float, y_m: float, dt_s: float
+        self, command: Command | None, x_m: float, y_m: float, dt_s: float, touching: bool
     ) -> tuple[float, float]:
         """Return the velocity (m/s) that the reference is to have, within its limits."""
         model, reference_x, reference_y = self.model, self.reference_x_m, self.reference_y_m
@@ -199,8 +210,16 @@ class RobotController(PortController):
             self._slow_x += moved_x * share
             self._slow_y += moved_y * share
             self._rests = moved_x * moved_x + moved_y * moved_y < _REST_M * _REST_M
+            self._rested_s = self._rested_s + dt_s if self._rests else 0.0
+            if self._rested_s > _RESTED_S and touching and self.passive:
+                poor = min(1.0, max(0.0, 1.0 - self.port.credit_j / model.spare_j))
+                to_x += (self._slow_x - to_x) * poor
+                to_y += (self._slow_y - to_y) * poor
             share = 1.0 / (model.follow_s + dt_s)
             vx, vy = (to_x - reference_x) * share, (to_y - reference_y) * share
+            vx, vy = self._shown(
+                command[6] and touching, vx, vy, reference_x - x_m, reference_y - y_m, dt_s
+            )
         size, speed = vx * vx + vy * vy, self.speed_m_s
         if size > speed * speed:
             share = speed / sqrt(size)
@@ -212,6 +231,21 @@ class RobotController(PortController):
             share = most / sqrt(size)
             return self._vx + change_x * share, self._vy + change_y * share
         return vx, vy
+
+    def _shown(
+        self, lacks: bool, vx: float, vy: float, press_x: float, press_y: float, dt_s: float
+    ) -> tuple[float, float]:
+        """Return the velocity (m/s) that lets a press go while the hand `lacks` it.
+
+        press_x, press_y: the spring's stretch (m).
+        """
+        self._unfelt = unfelt = self._unfelt + (lacks - self._unfelt) * dt_s / (dt_s + _LACK_S)
+        press_2 = press_x * press_x + press_y * press_y
+        if self.trip_s is None or unfelt < _LEAST_LACK or press_2 == 0.0:
+            return vx, vy
+        most = (1.0 - 2.0 * unfelt) / (_UNFELT_S + _UNFELT_TRIPS * self.trip_s)
+        surplus = max(0.0, (vx * press_x + vy * press_y) / press_2 - most)
+        return vx - surplus * press_x, vy - surplus * press_y
 
     def _slowed(self, fx: float, fy: float, vx_m_s: float, vy_m_s: float) -> tuple[float, float]:
         """Return the force on a tip of this velocity: it brakes a tip that goes too fast.

@@ -12,7 +12,13 @@ from telepresence.haptics.haptic_metrics import UdpMetrics
 from telepresence.haptics.robot import RobotCapabilities
 from telepresence.haptics.robot_device import RobotReading
 from telepresence.haptics.udp_line import UdpLine
-from telepresence.haptics.udp_protocol import MOST_UNANSWERED, UdpRole, UdpSession, WantedState
+from telepresence.haptics.udp_protocol import (
+    MOST_UNANSWERED,
+    NO_FORCE,
+    UdpRole,
+    UdpSession,
+    WantedState,
+)
 
 #: Half the workspace of an axis that a robot does not have; nothing moves there.
 _NO_PLANE_M = 0.01
@@ -72,6 +78,7 @@ class UdpRobot(_UdpAxes):
         self.capabilities = RobotCapabilities(
             name=capabilities.name,
             takes="position" if capabilities.takes_positions else "force",
+            force="none" if capabilities.buttons == NO_FORCE else "felt",
             force_limit_n=capabilities.force_limit_n,
             speed_m_s=capabilities.speed_m_s,
             half_width_m=half_width_m,

@@ -72,11 +72,17 @@ class WantedState(IntEnum):
 CONTACT, DEAD_MAN = 1, 2
 
 
+#: What a robot's welcome has in the place of buttons if it measures no force. Sessions that do not
+#: know it take the forces that it sends, which are 0.
+NO_FORCE = 1
+
+
 class UdpCapabilities(NamedTuple):
     """What a controller says of its device. What it has no use for is 0.
 
     takes_positions: a robot takes places and velocities, not forces.
-    speed_m_s: of a robot. The three after it, buttons and leds: of a joystick.
+    speed_m_s: of a robot. The three after it, buttons and leds: of a joystick; of a robot, buttons
+    is 0, or `NO_FORCE`.
     half_m: along x and y, from the middle of the workspace to its edge; 0: it has no such axis.
     more: the axes behind x and y.
     """

@@ -21,6 +21,8 @@ SAMPLE = Path(__file__).resolve().parents[2] / "samples/so101_robot"
 PATIENT = "\n[safety]\npicture_max_age_s = 100\npicture_hold_s = 100\n"
 TICK_S, SPEED, NEAR = 0.04, np.array([0.08, 0.08, 0.08, 0.5, 0.04]), 0.004
 STILL = np.zeros(5)
+#: Behind the angles of the six joints the block has its place.
+BLOCK_HEIGHT = 6 + 2
 
 
 class Keys:
@@ -53,10 +55,16 @@ class Keys:
         return np.array([state.x_m, state.y_m, *(place for _, place, _ in state.axes)])
 
     async def go(self, *goal):
-        """Lead x, y, z and roll there."""
+        """Lead x, y and z there, with the jaws across."""
         at = await self.tick()
         while (miss := np.array([*goal, 0.0, at[4]]) - at)[np.abs(miss) > NEAR].size:
             at = await self.tick(2.0 * miss)
+
+    async def close(self):
+        """Close the gripper, until the block is between the jaws."""
+        places = []
+        while len(places) < 20 or places[-20] - places[-1] > NEAR / 10:
+            places.append((await self.tick(-SPEED * (0, 0, 0, 0, 1)))[4])
 
 
 async def lead(session, robot):
@@ -66,23 +74,25 @@ async def lead(session, robot):
         assert (await page.ask("hand", action="take"))["ok"]
         reads = asyncio.create_task(page.close_code())
         keys = Keys(page, half, robot)
-        await keys.go(0.05, -0.02, 0.04)
+        await keys.go(0.0, 0.0, 0.075)
+        await keys.go(0.0, -0.08, 0.075)
+        await keys.close()
+        await keys.go(0.0, 0.0, 0.075)
         reads.cancel()
 
 
-def test_keys_at_a_page_lead_the_arm_in_its_picture(start, tmp_path, monkeypatch):
+def test_keys_at_a_page_pick_the_block_up(start, tmp_path, monkeypatch):
     shutil.copy(SAMPLE / "so101.py", tmp_path)
     setup = (SAMPLE / "so101.toml").read_text().replace("fps = 10", "fps = 5") + PATIENT
     options = ("--robot", "so101:So101", "--joystick", "page", "--page", str(tcp_port()))
     session = start(setup, *options)
     session.wait_for_flow(["uplink_video"])
     (joints,) = eventually(lambda: list(session.temporary.glob("kontur-so101-*/joints")), "the arm")
-    shown = np.memmap(joints, np.float64, "r")[:6]
-    before = shown.copy()
+    height_m = np.memmap(joints, np.float64, "r")[BLOCK_HEIGHT]
+    assert height_m == pytest.approx(0.02, abs=0.005)
     with session.bus(monkeypatch) as bus:
         robot = TopicReader(bus, ROBOT_STATUS_TOPIC)
         eventually(robot.latest, "the robot's state")
         asyncio.run(lead(session, robot))
-    # To the right: the shoulder turns.
-    assert abs(shown[0] - before[0]) > 0.1
+    assert np.memmap(joints, np.float64, "r")[BLOCK_HEIGHT] > 0.08
     session.interrupt()

@@ -6,6 +6,7 @@ from itertools import count
 
 import numpy as np
 import pytest
+from gamepads import Pad
 from haptic_pair import MS, HapticPair
 
 from kontur_av.returned import PartError
@@ -17,6 +18,7 @@ from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
+from telepresence.haptics.device.guest import HandleGuest
 from telepresence.haptics.device.handle import OperatedHandle
 from telepresence.haptics.device.page import PageDevice, PageInput
 from telepresence.haptics.device.policy import PolicyMessage, taken_action
@@ -27,6 +29,8 @@ from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 TOPOLOGY = topology_of(BUILT_IN["taskboard"], pages=True, joystick="page")
 PLAN = seat_plan(TOPOLOGY, Segment.SPACE, "s-1", built_in_dictionary())
+PAD = topology_of(BUILT_IN["taskboard"], pages=True, joystick="evdev")
+PLAN_OF_PAD = seat_plan(PAD, Segment.SPACE, "s-1", built_in_dictionary())
 REST = {"x": 0.7, "y": 0.0}
 ENDED = {"silent": "silent", "emergency stop": "stop", "halt": "application", "cut": "interrupted"}
 
@@ -34,14 +38,16 @@ ENDED = {"silent": "silent", "emergency stop": "stop", "halt": "application", "c
 class Session(HapticPair):
     """A seat with a page, a policy that wants the robot at `place`, joystick and robot."""
 
-    def __init__(self):
-        self.handle, self.envelope = OperatedHandle(PageDevice()), SafetyEnvelope()
+    def __init__(self, device=None):
+        self.handle, self.envelope = OperatedHandle(device or PageDevice()), SafetyEnvelope()
+        if device is not None:
+            self.handle.guest = HandleGuest()
         space = JoystickSide(link=joystick_link(boot_id=1), handle=self.handle)
         ground = RobotSide(link=robot_link(boot_id=2), envelope=self.envelope)
         super().__init__(space, ground, delay_ms=20)
         self.teller = JoystickStatusTeller(self.handle)
         self.teller.handle_watched(True)
-        self.seat = Seat(PLAN, first_command=1)
+        self.seat = Seat(PLAN if device is None else PLAN_OF_PAD, first_command=1)
         self.page = self.seat.handle_opened(Role.OPERATOR, 0)
         self.numbers, self.hand, self.place, self.shadow = count(1), None, (0.0, 0.0), False
         self.run(4000)
@@ -61,7 +67,9 @@ class Session(HapticPair):
             seat.handle_policy_time(now_ns)
         while (event := seat.next_event()) is not None:
             if isinstance(event, PageInput):
-                self.handle.device.handle_input(event, now_ns - event.received_ns)
+                (self.handle.guest or self.handle.device).handle_input(
+                    event, now_ns - event.received_ns
+                )
         self.handle.handle_feedback(self.space.link.latest(now_ns))
         super().step()
 
@@ -128,6 +136,43 @@ def test_after_an_interruption_nothing_moves_before_a_person_hands_over(cause):
     assert session.ask("policy") == ""
     session.run(2500)
     assert session.at(-0.05, 0.0)
+
+
+def test_at_a_device_the_policy_drives_and_the_persons_button_takes_over_at_once():
+    session = Session(pad := Pad())
+    session.place = (0.05, -0.03)
+    assert session.ask("take") == "the joystick evdev steers"
+    pad.stick.handle_event(1, 0x136, 1)
+    session.run(300)
+    assert session.driver.who == "the joystick evdev"
+    assert "the joystick evdev has the handle" in session.ask("policy")
+    pad.stick.handle_event(1, 0x136, 0)
+    session.run(200)
+    for end in ("person", "page", "button"):
+        assert session.ask("policy") == ""
+        session.run(1200)
+        # The person's stick is deflected, and moves nothing.
+        pad.stick.handle_event(3, 0, 255)
+        session.run(200)
+        assert session.at(0.05, -0.03) and session.driver.drives
+        if end == "person":
+            pad.stick.handle_event(1, 0x136, 1)
+            session.run(500)
+            assert session.at(0.05, -0.03) and session.driver.who == "the joystick evdev"
+            # The same press counts, from where the robot is.
+            pad.stick.handle_event(3, 0, 190)
+            session.run(500)
+            assert session.robot.x_m < 0.03
+            pad.stick.handle_event(1, 0x136, 0)
+        elif end == "page":
+            assert session.ask("take") == ""
+        else:
+            session.handle.operation.policy, session.handle.operation.driver = "reach", "reach"
+            pad.read = lambda: pad.stick.reading()._replace(hand_over=True)
+        session.run(200)
+        assert not session.driver.drives and session.driver.who == ""
+        pad.stick.handle_event(3, 0, 128)
+        session.run(300)
 
 
 def test_a_shadow_is_told_and_never_obeyed():

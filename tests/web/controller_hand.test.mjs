@@ -53,6 +53,30 @@ test("a trigger is the dead-man switch, the stick the place, and the motors show
   assert.equal(control.source, null);
 });
 
+test("a session's map names the controls of all axes, of stop and of hand-over", () => {
+  const { line, control } = steered();
+  line.state.joystick = { axes: [{ name: "z", position: 0, half_range: 1 }] };
+  const one = pad();
+  hardware.pads = [one];
+  const told = [];
+  const plain = { axis: -1, up: -1, down: -1, scale: 1, dead_zone: 0, rate: false };
+  const axes = [{ ...plain, name: "x", axis: 1, scale: -2, dead_zone: 0.125 }, { ...plain, name: "z", up: 5, down: 4, rate: true }];
+  steerByController(control, () => 0, {
+    mapping: () => ({ axes, dead_man: [6], stop: 0, hand_over: 1, panel: [3, 2] }),
+    axes: () => ["z"],
+    stop: () => told.push("stop"),
+    handOver: () => told.push("over"),
+  });
+  happen("gamepadconnected");
+  for (const index of [0, 1, 5, 6]) one.buttons[index].value = 1;
+  one.buttons[2].pressed = true;
+  pass(500);
+  assert.deepEqual(told, ["stop", "over"]);
+  assert.ok(Math.abs(control.target.x + 2 / 7) < 1e-9 && control.target.y === 0);
+  assert.ok(Math.abs(control.axisTarget(0) - 0.5) < 0.1);
+  assert.equal(line.hands.at(-1).buttons, 2);
+});
+
 test("a press while the page has no focus counts only after its release; unplugging releases", () => {
   const { control } = steered();
   const one = pad();

@@ -161,7 +161,8 @@ export class HandPanel extends HTMLElement {
       start: this.#start,
       task: this.#task,
     });
-    this.#bar.show(this.#newest?.forceN ?? null, handle?.contact ?? false);
+    const pressesN = this.#seat?.connection.state?.joystick?.presses_n ?? 0;
+    this.#bar.show(this.#newest?.forceN ?? null, handle?.contact ?? false, pressesN);
   }
 
   /** @param {HandAction} action */
@@ -189,13 +190,16 @@ export class HandPanel extends HTMLElement {
     const control = this.#control;
     if (connection === undefined || control === null) return;
     const { alive, hello, state, mayAct } = connection;
-    const usable = alive && state !== null && hello?.joystick === "page" && mayAct;
+    const acts = alive && state !== null && mayAct;
+    const usable = acts && hello?.joystick === "page";
     const hand = state?.hand ?? { holder: null, you: false, wanted_by: null, who: "", asks: "", policy: "" };
     this.#buttons.take.hidden = !usable || hand.holder !== null;
-    this.#buttons.ask.hidden = !usable || hand.you || hand.holder === null;
+    // At another joystick a page ends the turn of a policy only.
+    const ends = acts && hand.policy !== "" && hand.who === `the policy ${hand.policy}`;
+    this.#buttons.ask.hidden = !(usable || ends) || hand.you || hand.holder === null;
     this.#buttons.give.hidden = !usable || !hand.you;
     this.#buttons.refuse.hidden = !usable || !hand.you || hand.wanted_by === null;
-    this.#buttons.policy.hidden = !usable || hand.policy === "" || !(hand.you || hand.holder === null);
+    this.#buttons.policy.hidden = !acts || hand.policy === "" || !(hand.you || hand.holder === null);
     const wanted = hand.you && hand.wanted_by !== null;
     setText(this.#buttons.give, wanted ? `Give it to ${hand.asks}` : ACTIONS.give);
     this.#buttons.give.classList.toggle("main", wanted);

@@ -133,10 +133,11 @@
  * and y. request: which leads on; "": none does. test, test_reason: what became of the newest
  * functional test. experiment: of the present or the next application. partner: whether a
  * partner's robot is there; null: there can be none. command_age_ms: how old the commands are that
- * the robot gets, at most, to 50 ms.
+ * the robot gets, at most, to 50 ms. presses_n: how hard the robot presses, as the joystick knows.
  * @typedef {{state: string, allowed: string[], reason: string, dead_man: boolean, force_limit_n:
  *   number, device: string, axes: AxisText[], test: string, test_reason: string, experiment:
- *   string, partner: boolean | null, command_age_ms: number | null, request: string}} JoystickText
+ *   string, partner: boolean | null, command_age_ms: number | null, presses_n: number, request:
+ *   string}} JoystickText
  */
 
 /**

@@ -21,6 +21,7 @@ from pipelines.session.setup.former_names import INPUTS
 from pipelines.session.setup.segments import Direction
 from telepresence.haptics.axes import AxisName, AxisSettings, more_axes, sample_octets
 from telepresence.haptics.envelope import SafetyLimits
+from telepresence.haptics.joystick_controller import PRESS_RATIO
 from telepresence.haptics.mediated.wall import WALL_OCTETS
 from telepresence.haptics.pacing import (
     FEEDBACK_HZ,
@@ -193,6 +194,8 @@ HandMode = Literal["adaptive", "direct", "mediated", "auto"]
 ForceMode = Literal["felt", "none"]
 #: From this measured round trip on, `adaptive` renders walls.
 WALLS_FROM_NS = 60 * NS_PER_MS
+#: Below 1 the robot would press less than the hand feels.
+LEAST_PRESS_RATIO, MOST_PRESS_RATIO = 1.0, 10.0
 
 #: What a partner's joystick may drive. `none`: nothing. `shared`: the robot, in the place of the
 #: joystick in space, once an operator has handed it over. `second`: an arm of its own. `board`:
@@ -271,6 +274,8 @@ class Setup:
     force: `none`: the hand feels nothing. Commands go at `command_hz`, the robot's state at 50 Hz,
         and pictures get the room.
     command_hz: commands a second with `force = "none"`, 50 to 250.
+    press_ratio: on a rendered wall the robot presses at most so many times as hard as the hand
+        feels, 1 to 10, and 2 N more; with `direct`, soon no harder (docs/haptics.md).
     axes: what the hand moves, of x, y, z, roll, pitch, yaw, gripper and up to three of the robot's
         own. Each behind x and y makes the samples 5 octets longer, so frames must be, too.
     axis: tables of what there is to say of one of these.
@@ -313,6 +318,7 @@ class Setup:
     hand: HandMode = "adaptive"
     force: ForceMode = "felt"
     command_hz: int = 100
+    press_ratio: float = PRESS_RATIO
     axes: tuple[str, ...] = field(
         default=("x", "y"), metadata={"like": 'a list of names, like ["x", "y", "z", "gripper"]'}
     )
@@ -450,6 +456,11 @@ class Setup:
 
     def _take_pace(self) -> None:
         """Without force feedback, keep less room for samples, and use each for longer."""
+        if not LEAST_PRESS_RATIO <= self.press_ratio <= MOST_PRESS_RATIO:
+            raise ConfigError(
+                f"press_ratio is {self.press_ratio:g}: take {LEAST_PRESS_RATIO:g} to "
+                f"{MOST_PRESS_RATIO:g}"
+            )
         if self.force == "felt":
             return
         if not LEAST_COMMAND_HZ <= self.command_hz <= MOST_COMMAND_HZ:

@@ -13,7 +13,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from kontur_av.clock import NS_PER_MS
-from kontur_av.errors import ConfigError
+from kontur_av.errors import ConfigError, refused
 from telepresence.haptics.axes import AxisReading
 from telepresence.haptics.device.device import JoystickReading
 from telepresence.haptics.device.states import JoystickState
@@ -35,6 +35,7 @@ from telepresence.haptics.device.stick import (
     stick_axes,
 )
 from telepresence.haptics.device.stick_map import StickMap
+from telepresence.toml_file import read_toml, typed
 
 #: The force at which the rumble is strongest (N). Chosen.
 _FULL_RUMBLE_N = 8.0
@@ -127,6 +128,18 @@ def open_gamepad(
     except ConfigError as error:
         device.close()
         raise ConfigError(f"joystick map: {error}") from None
+
+
+def read_stick_map(path: Path) -> StickMap:
+    """Return the mapping in a TOML file; ConfigError, in one line."""
+    table = read_toml(path, "joystick map")
+    with refused(f"joystick map {path}", ConfigError):
+        return typed(table, StickMap, "a joystick map")
+
+
+def asked_map(path: Path | None) -> StickMap | None:
+    """Return the mapping of a file; None without one. ConfigError."""
+    return None if path is None else read_stick_map(path)
 
 
 class GamepadDevice:

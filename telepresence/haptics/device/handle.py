@@ -9,10 +9,11 @@ from kontur_av.clock import NS_PER_MS, NS_PER_S
 from kontur_av.returned import fault_of
 from telepresence.haptics.axes import MoreAxes, MoreAxis, set_up_axes
 from telepresence.haptics.device.device import JoystickDevice
-from telepresence.haptics.device.operation import JoystickOperation
+from telepresence.haptics.device.guest import HandleGuest
+from telepresence.haptics.device.operation import UNFELT_FORCE_LIMIT_N, JoystickOperation
 from telepresence.haptics.device.simulated import SimulatedDevice
 from telepresence.haptics.device.states import JoystickEvent, JoystickState
-from telepresence.haptics.device.supervision import Limits
+from telepresence.haptics.device.supervision import Limits, NoiseMeter
 from telepresence.haptics.haptic_metrics import JoystickMetrics, LoggedTransition
 from telepresence.haptics.sample import Drive, Feedback
 
@@ -34,6 +35,8 @@ class OperatedHandle:
     robot_waits, robot_stopped, drive: what the robot's newest sample says. frozen: it says that a
     part of the operator's picture is.
     command_age_ms: of the commands that the robot gets; the caller sets it, None if unknown.
+    guest: a policy at the handle, which the caller sets; None: there can be none.
+    presses_n: how hard the robot presses; the caller sets it.
     more: the axes behind x and y; their middle is where the device reads 0. axes: their names, with
     what the setup says of them. plane: which of x and y there are; the others stay at 0.
 
@@ -56,11 +59,13 @@ class OperatedHandle:
         self.force_limit_n = 0.0
         self.dead_man = self.stop = self.blind = self.stop_asked = False
         self._hands_over = False
+        self.guest: HandleGuest | None = None
         self.buttons = self.pressed = 0
         self.robot_waits = self.robot_stopped = False
         self.drive: Drive = ""
         self.frozen = False
         self.command_age_ms: int | None = None
+        self.presses_n = 0.0
         self.state = int(JoystickState.INIT)
         self.more: Sequence[MoreAxis] = [MoreAxis(each) for each in device.capabilities.more]
         set_up_axes(self.more, axes, limits=False)
@@ -68,6 +73,8 @@ class OperatedHandle:
         self._plane = None if {"x", "y"} <= {*plane} else ("x" in plane, "y" in plane)
         self._axes: MoreAxes | None = cast(MoreAxes, device) if self.more else None
         self._known = JoystickState.INIT
+        #: Without motors nobody feels the noise.
+        self._noise = NoiseMeter() if device.capabilities.has_force else None
         self._placed = False
         self._leds = 0
         self._heard_ns = 0
@@ -138,6 +145,9 @@ class OperatedHandle:
             except Exception as error:
                 operation.handle_trouble(fault_of("read_more()", error), now_ns)
         state = operation.machine.state
+        noise = self._noise if state is JoystickState.APPLICATION else None
+        if noise is not None and (trouble := noise.handle_place(reading[0], reading[1])):
+            operation.handle_trouble(trouble, now_ns)
         if state is not self._known:
             self._known, self.state, self._placed = state, int(state), state in _PLACED
         if self._placed:
@@ -159,3 +169,22 @@ class OperatedHandle:
         # The button that a test asks for does not count for the robot or the panel.
         self.buttons, self.dead_man = reading[4], reading[5] and not operation.testing
         self.force_limit_n = operation.force_limit_n
+        if self.guest is not None:
+            self._let_guest(self.guest, dt_ns)
+
+    @property
+    def pressed_by_person(self) -> bool:
+        """Whether a person presses the dead-man button, where a policy could, too."""
+        operation = self.operation
+        return self.guest is not None and operation.held and not operation.testing
+
+    def _let_guest(self, guest: HandleGuest, dt_ns: int) -> None:
+        """Put a policy in the place of the person, if it drives."""
+        application = self.operation.machine.state is JoystickState.APPLICATION
+        guest.step(dt_ns, person=self.pressed_by_person, allowed=application)
+        if guest.drives or guest.holds:
+            self.dead_man = guest.drives
+            self.force_limit_n = UNFELT_FORCE_LIMIT_N * guest.force_share
+        if guest.drives:
+            in_x, in_y = self._plane or (True, True)
+            self.x_m, self.y_m = guest.x_m * in_x, guest.y_m * in_y

@@ -107,8 +107,8 @@ class _Lead(NamedTuple):
 
     @classmethod
     def of(cls, row: MappedAxis) -> "_Lead":
-        code, less = (*row.controls, None)[:2]
-        return cls(code, row.scale, less, row.mode == "rate", row.dead_zone)
+        code, *less = row.controls
+        return cls(code, row.scale, less[0] if less else None, row.mode == "rate", row.dead_zone)
 
     def words(self, keys: Collection[int]) -> str:
         codes = [self.code] if self.less is None else [self.code, self.less]

@@ -1,4 +1,4 @@
-"""Which control of a device moves which axis: a TOML file, checked at one door.
+"""Which control of a device moves which axis: what a joystick map can say. A core.
 
 Names of controls are those of the kernel's `linux/input-event-codes.h`; of a browser's gamepad,
 those that have the same place in the W3C's "Standard Gamepad".
@@ -8,13 +8,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from pathlib import Path
 from re import fullmatch
 from typing import Final, Literal, NamedTuple
 
 from kontur_av.errors import ConfigError, refused
 from telepresence.haptics.axes import AXIS_NAMES, AxisName, AxisSettings
-from telepresence.toml_file import read_toml, typed
 
 _FIRST_AXES = ("X", "Y", "Z", "RX", "RY", "RZ", "THROTTLE", "RUDDER", "WHEEL", "GAS", "BRAKE")
 _HATS = [f"HAT{number}{way}" for number in range(4) for way in "XY"]
@@ -31,6 +29,7 @@ _BUTTON_CODES = {
     for first, names in _BUTTONS.items()
     for code, name in enumerate(names.split(), first)
 }
+_OTHER_NAMES = {"A": 0x130, "B": 0x131, "X": 0x133, "Y": 0x134}
 _NAMES = {("ABS", code): f"ABS_{name}" for name, code in _AXIS_CODES.items()} | {
     ("BTN", code): f"BTN_{name}" for name, code in _BUTTON_CODES.items()
 }
@@ -49,7 +48,7 @@ class Control(int):
 
     def __new__(cls, name: str) -> "Control":
         kind, _, rest = name.partition("_")
-        code = _BUTTON_CODES.get(rest) if kind == "BTN" else _AXIS_CODES.get(rest)
+        code = (_BUTTON_CODES | _OTHER_NAMES).get(rest) if kind == "BTN" else _AXIS_CODES.get(rest)
         if kind not in ("ABS", "REL", "BTN") or code is None:
             if (match := fullmatch(_BY_NUMBER, name)) is None:
                 raise ConfigError(
@@ -70,7 +69,7 @@ def control_name(code: int, *, button: bool) -> str:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MappedAxis:
-    """What moves an axis; a table `[axis.NAME]` of the file. ConfigError for what cannot be.
+    """What moves an axis; a table `[axis.NAME]` of the file.
 
     control: an axis, such as "ABS_RX"; or two controls, of which the first counts up and the
     second down: triggers or buttons.
@@ -86,7 +85,8 @@ class MappedAxis:
     dead_zone: float = 0.0
     mode: Literal["position", "rate"] = "position"
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Raise ConfigError for what cannot be."""
         controls = self.controls
         if len(controls) == 1 and controls[0].button:
             raise ConfigError(f"control {self.control} is a button: give two, up and down")
@@ -136,7 +136,9 @@ class StickMap:
     buttons: MappedButtons
 
     def __post_init__(self) -> None:
-        for name in self.axis:
+        for name, row in self.axis.items():
+            with refused(f"axis.{name}", ConfigError):
+                row.check()
             if name not in ("x", "y", *AXIS_NAMES):
                 AxisName(name, AxisSettings(kind="linear"))
         moved = [
@@ -158,18 +160,6 @@ class StickMap:
                 has += [control_name(code, button=True) for code in sorted(keys)]
                 name = control_name(control, button=control.button)
                 raise ConfigError(f"{where}: there is no {name}; it has {', '.join(has)}")
-
-
-def read_stick_map(path: Path) -> StickMap:
-    """Return the mapping in a TOML file; ConfigError, in one line."""
-    table = read_toml(path, "joystick map")
-    with refused(f"joystick map {path}", ConfigError):
-        return typed(table, StickMap, "a joystick map")
-
-
-def asked_map(path: Path | None) -> StickMap | None:
-    """Return the mapping of a file; None without one. ConfigError."""
-    return None if path is None else read_stick_map(path)
 
 
 #: By control: the axis or the button of a browser's standard gamepad; a hat's and a trigger's are

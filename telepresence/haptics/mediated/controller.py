@@ -189,13 +189,19 @@ class WallRenderer:
             self.force_n = 0.0, 0.0
         return self.force_n
 
-    def too_deep_m(self, x_m: float, y_m: float, most_n: float) -> tuple[float, float]:
-        """Return the way (m, m) out of the newest wall to where a robot presses with `most_n`."""
+    def press_n(self, x_m: float, y_m: float) -> float:
+        """Return how hard a robot presses on the newest wall that rests at this told place."""
         goal = self._goal
         if goal is None or self._age_ns > self.model.old_ns:
+            return 0.0
+        return self._series(goal) * max(0.0, goal.depth_m(x_m, y_m))
+
+    def out_m(self, force_n: float) -> tuple[float, float]:
+        """Return the way (m, m) out of the newest wall by which that press falls by `force_n`."""
+        goal = self._goal
+        if goal is None or force_n <= 0.0:
             return 0.0, 0.0
-        way_m = max(0.0, goal.depth_m(x_m, y_m) - most_n / self._series(goal))
-        nx, ny = goal.inward
+        way_m, (nx, ny) = force_n / self._series(goal), goal.inward
         return -way_m * nx, -way_m * ny
 
     def _series(self, wall: Wall) -> float:
@@ -267,8 +273,6 @@ _START_J = 0.003
 #: Damping at the start, until the robot is heard or a wall is felt, and its longest time. A hand
 #: that has lost its wall sinks in against it, and so pays for the wall that comes back.
 _BRAKE_N_S_M, _BRAKE_S = 120.0, 0.5
-#: The robot presses at most this many times as hard as the hand feels, and this much more.
-_PRESS_RATIO, _PRESS_N = 1.25, 2.0
 #: Time constants with which a place that is too deep is held back, and told again.
 _HOLD_BACK_S, _FOLLOW_S = 0.3, 0.05
 #: Filtered speed after the first cycle of a handle that moves already.
@@ -307,6 +311,7 @@ class MediatedController(JoystickController):
     def _render(self) -> None:
         """From now on walls are rendered."""
         self._rendering, self.model, self.spared_j = True, self._model, 0.002 + _START_J
+        self._out = (0.0, 0.0)
         if self.passive:
             self.port.kept_j += _START_J
             self.port.credit_j += _START_J
@@ -361,16 +366,25 @@ class MediatedController(JoystickController):
         self.most_j = renderer.spare_j
         self._damping_n = bx, by = super().step(feedback, x_m, y_m, dt_ns)
         self.limit_n = limit_n
-        self._hold_back(x_m, y_m, hypot(wall_x + self._gx, wall_y + self._gy), dt_ns / NS_PER_S)
+        self._bound_press(x_m, y_m, dt_ns / NS_PER_S)
         return wall_x + bx, wall_y + by
 
-    def _hold_back(self, x_m: float, y_m: float, felt_n: float, dt_s: float) -> None:
-        """Tell the robot a place where it presses little harder than the hand feels.
+    def _note_press(self, feedback: Feedback) -> None:
+        if not self._rendering:
+            super()._note_press(feedback)
 
-        A hand that feels too little pushes on, and the robot's spring would press with all of it.
-        """
-        back_x, back_y = self.held_back_m
-        to_x, to_y = self.renderer.too_deep_m(x_m, y_m, _PRESS_N + _PRESS_RATIO * felt_n)
+    def _bound_press(self, x_m: float, y_m: float, dt_s: float) -> None:
+        """Hold back by what the rendered wall says, which is no round trip old."""
+        renderer, (back_x, back_y) = self.renderer, self.held_back_m
+        presses_n = max(
+            renderer.press_n(x_m + back_x, y_m + back_y), hypot(self._goal_x, self._goal_y)
+        )
+        gives_n = hypot(*self.robot_force_n)
+        self._compare(presses_n, gives_n)
+        if self.limit_n <= 0.0:
+            self.held_back_m = 0.0, 0.0
+            return
+        to_x, to_y = renderer.out_m(renderer.press_n(x_m, y_m) - self.most_press_n(gives_n))
         more = to_x * to_x + to_y * to_y > back_x * back_x + back_y * back_y
         share = dt_s / (dt_s + (_HOLD_BACK_S if more else _FOLLOW_S))
         self.held_back_m = back_x + (to_x - back_x) * share, back_y + (to_y - back_y) * share

@@ -1,6 +1,7 @@
 """The force on the tip: passive, bounded in speed and place, and none without a valid command."""
 
 from itertools import pairwise
+from math import sin, tau
 
 import pytest
 from haptic_pair import MS
@@ -113,6 +114,39 @@ def test_what_it_does_not_need_goes_to_an_end_that_lacks_and_in_contact_is_lost(
     assert granted(False, False) == (0, pytest.approx(0.1))
     assert granted(True, False) == pytest.approx((0.1 - spare_j, spare_j), rel=0.01)
     assert granted(False, True) == (0, pytest.approx(spare_j, rel=0.1))
+
+
+@pytest.mark.parametrize(
+    ("trip_s", "lacks", "least_n", "most_n"),
+    [(0.02, True, 0.0, 0.3), (0.02, False, 8.0, 9.0), (None, True, 8.0, 9.0)],
+)
+def test_a_press_that_the_hand_does_not_feel_is_let_go_unless_a_wall_is_rendered(
+    trip_s, lacks, least_n, most_n
+):
+    side, robot = RobotController(), Robot(board=Board(WallModel(x_m=0.0, stiffness_n_m=5000.0)))
+    side.port.credit_j, side.trip_s = 0.3, trip_s
+    forces = []
+    for _ in range(4000):
+        command = Command(0.01, 0.0, 0, acted=lacks)
+        step = side.step(command, robot.x_m, 0.0, robot.vx_m_s, 0.0, MS, touching=robot.contact)
+        robot.step(*step, MS)
+        forces.append(robot.force_n)
+    assert max(forces) > 8.0 and least_n <= forces[-1] <= most_n
+    assert side.credit_uj >= 0.0
+
+
+def test_a_tremor_in_contact_does_not_empty_a_poor_robots_press():
+    def pressed_n(amplitude_m):
+        side, robot = RobotController(), Robot(board=Board(WallModel(x_m=0.0)))
+        side.port.credit_j = 0.1
+        for k in range(4000):
+            x_m = 0.006 + amplitude_m * sin(tau * 10 * k * 1e-3)
+            command = Command(x_m, 0.0, k * 10)
+            step = side.step(command, robot.x_m, 0.0, robot.vx_m_s, 0.0, MS, touching=robot.contact)
+            robot.step(*step, MS)
+        return robot.force_n
+
+    assert pressed_n(0.0005) == pytest.approx(pressed_n(0.0), rel=0.1)
 
 
 def test_exchanged_axes_exchange_the_forces_on_the_tip():

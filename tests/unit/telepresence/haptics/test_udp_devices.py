@@ -1,15 +1,18 @@
 """A robot and a joystick by UDP, as the session drives them."""
 
+import struct
 from itertools import pairwise
 from math import isnan
 
 import pytest
 from udp_controller import MemoryLine, PythonController
 
+from kontur_av.errors import ConfigError
 from telepresence.haptics import udp_devices
 from telepresence.haptics.device.operation import JoystickOperation
 from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.robot_device import DrivenRobot
+from telepresence.haptics.specs import open_robot
 from telepresence.haptics.udp_protocol import MOST_UNANSWERED
 from telepresence.tasks.definitions import ControlMode
 from telepresence.tasks.robot_control import RobotControl
@@ -29,6 +32,15 @@ def driven():
     """A robot by UDP, switched on, and its control."""
     robot = DrivenRobot(udp_devices.UdpRobot("127.0.0.1:9"))
     return robot, RobotControl(robot, powered=True, mode=ControlMode.TELEPRESENCE)
+
+
+def test_a_robot_that_measures_no_force_is_for_a_session_without(controller):
+    controller.capabilities = controller.capabilities[:20] + bytes([1, 0])
+    controller.capabilities += struct.pack(">2f", 0.15, 0.1) + b"no sensor"
+    with pytest.raises(ConfigError, match=r"robot udp:.*measures no force.*add --force none"):
+        open_robot("udp:127.0.0.1:9", felt=True)
+    assert controller.state == OFF
+    assert open_robot("udp:127.0.0.1:9").capabilities.force == "none"
 
 
 def drive(control, robot, count):

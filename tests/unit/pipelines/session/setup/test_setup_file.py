@@ -30,6 +30,7 @@ path_batch_ms = 2
 hand = "mediated"
 force = "felt"
 command_hz = 125
+press_ratio = 1.5
 axes = ["x", "pan"]
 partner_arm = "second"
 tasks = true
@@ -182,6 +183,7 @@ OWN, END = "composed.static = {compose = ", "}\n" + TOML
         (TOML + 'size = "640"', "mine.toml: uplink_video.size '640': write WIDTHxHEIGHT"),
         (TOML + 'size = "641x480"', "641"),
         (TOML + "fps = 0", "take 1 to 120"),
+        ("press_ratio = 0.9\n" + TOML, "press_ratio is 0.9: take 1 to 10"),
         (TOML + "coded = '800x600'", "coded as 800x600: take no larger size"),
         (TOML + "least_cap_kbps = 5", "uplink_video: least cap of 5 kbit/s; take 10 to the cap"),
         (TOML + "stale_after_ms = 2", "uplink_video: stale after 2 ms; take 10 to"),

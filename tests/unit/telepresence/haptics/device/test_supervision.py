@@ -1,11 +1,18 @@
 """What the supervision says of readings, apart from any joystick."""
 
+import re
 from math import inf, nan
 
+import numpy as np
 import pytest
 
 from telepresence.haptics.device.device import JoystickReading
-from telepresence.haptics.device.supervision import Health, JoystickSupervisor, Limits
+from telepresence.haptics.device.supervision import (
+    Health,
+    JoystickSupervisor,
+    Limits,
+    NoiseMeter,
+)
 
 MS = 1_000_000
 REST = JoystickReading(0.0, 0.0, 0.0, 0.0, temperature_c=20.0)
@@ -127,3 +134,19 @@ def test_an_exercise_makes_every_reading_a_fault_until_its_end():
     # A device that is gone is worse than any exercise.
     supervisor.handle_exercise(1000 * MS)
     assert supervisor.handle_reading(REST._replace(present=False), 61 * MS) is Health.FATAL
+
+
+@pytest.mark.parametrize(
+    ("noise_m", "speed_m_s", "says"),
+    [(10e-6, 0.0, ""), (100e-6, 0.0, "trembles by 9.|trembles by 10"), (100e-6, 0.01, "")],
+)
+def test_a_place_that_trembles_at_rest_is_named_with_its_noise(noise_m, speed_m_s, says):
+    meter, draws = NoiseMeter(), np.random.default_rng(5).normal(0.0, noise_m, (2000, 2))
+    # Some readings come late, which is no noise.
+    found = [
+        meter.handle_place(speed_m_s * (k - 3 * (k % 10 == 0)) * 1e-3 + x_m, y_m)
+        for k, (x_m, y_m) in enumerate(draws)
+    ]
+    told = [words for words in found if words]
+    assert len(told) == bool(says)
+    assert not says or re.search(says, told[0])
