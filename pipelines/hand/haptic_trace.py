@@ -10,7 +10,9 @@ from itertools import pairwise
 from operator import attrgetter
 from typing import Any, Final, Literal, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from kontur_av.clock import NS_PER_MS
@@ -19,13 +21,17 @@ from telepresence.haptics.axes import MOST_MORE_AXES
 from telepresence.haptics.sample import SEQUENCE_MODULUS
 
 
-class StripChart(NamedTuple):
-    """A chart of the pages. factor turns a value into `unit`; at least ±least of that is shown."""
+class HapticChart(msgspec.Struct, frozen=True):
+    """A chart of the pages. factor turns a value into `unit`; at least ±least of that is shown.
+
+    column: of the rows that a page gets.
+    """
 
     title: str
     unit: str
     factor: float
     least: float
+    column: int = 0
 
 
 class SampleField(NamedTuple):
@@ -41,7 +47,7 @@ class SampleField(NamedTuple):
     what: str
     joystick: str
     robot: str
-    chart: StripChart | None = None
+    chart: HapticChart | None = None
     parameter: str = ""
     unit: str = ""
 
@@ -50,8 +56,7 @@ _PLACE_WORDS = "position of this end's handle or tip, m"
 _FORCE_WORDS = "force that the handle displays, or of the board on the tip, N"
 _CREDIT = "controller.credit_uj"
 _PLANE: Final = ("x", "y")
-#: A new one goes to the end, since recordings number them.
-FIELDS: Final = (
+FIRST_FIELDS: Final = (
     *(
         SampleField(f"{axis}_m", _PLACE_WORDS, f"handle.{axis}_m", f"robot.{axis}_m")
         for axis in _PLANE
@@ -62,16 +67,16 @@ FIELDS: Final = (
     ),
     SampleField("energy_uj", "credit of this end's port, µJ", _CREDIT, _CREDIT),
 )
-#: Those that every recording has, whatever its version.
-FIRST_FIELDS: Final = 5
-_NAMES: Final = tuple(each.name for each in FIELDS)
+#: A new one goes to the end, since recordings number them; older recordings do not have it.
+LATER_FIELDS: Final[tuple[SampleField, ...]] = ()
+FIELDS: Final = FIRST_FIELDS + LATER_FIELDS
 #: One cycle. time_ns: its instant. flags: see `flags_of`. sent: number of the sample that this end
 #: sent in the cycle. received: number of the newest sample that it acted on for the first time.
 #: `NO_SAMPLE`: there was none.
 ROW: Final = np.dtype(
     [
         ("time_ns", "<i8"),
-        *((name, "<f4") for name in _NAMES),
+        *((each.name, "<f4") for each in FIELDS),
         ("flags", "<u4"),
         ("sent", "<i4"),
         ("received", "<i4"),
@@ -99,17 +104,18 @@ def axis_columns(place: str) -> tuple[str, str, str]:
     return place, f"{name}_n" if unit == "m" else f"{name}_n_m", f"{name}_uj"
 
 
-def charts_of(more: Sequence[str]) -> dict[str, StripChart]:
-    """Return the pages' charts by their fields. more: the places of the axes behind x and y."""
+def charts_of(more: Sequence[str]) -> tuple[HapticChart, ...]:
+    """Return the pages' charts, by title. more: the places of the axes behind x and y."""
     charts = {each.name: each.chart for each in FIELDS if each.chart is not None}
     for place in ("x_m", "y_m", *more):
         (name, _, unit), (_, force, _) = place.rpartition("_"), axis_columns(place)
-        place_unit, force_unit = (("mm", 1000.0, 20.0), ("N", 1.0, 1.0))
-        if unit == "rad":
-            place_unit, force_unit = ("rad", 1.0, 0.2), ("N m", 1.0, 0.1)
-        charts[force] = StripChart(f"force {name}", *force_unit)
-        charts[place] = StripChart(f"position {name}", *place_unit)
-    return dict(sorted(charts.items(), key=lambda each: each[1].title))
+        turned = unit == "rad"
+        charts[force] = HapticChart(f"force {name}", *(("N m", 1, 0.1) if turned else ("N", 1, 1)))
+        shown = ("rad", 1, 0.2) if turned else ("mm", 1000, 20)
+        charts[place] = HapticChart(f"position {name}", *shown)
+    columns = [each.name for each in FIELDS] + [one for at in more for one in axis_columns(at)]
+    found = [replace(chart, column=columns.index(name)) for name, chart in charts.items()]
+    return tuple(sorted(found, key=attrgetter("title")))
 
 
 def row_type(places: Sequence[str]) -> "np.dtype[np.void]":

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
-from pipelines.hand.haptic_trace import FIELDS, FIRST_FIELDS, HapticTrace, field_values, flags_of
+from pipelines.hand.haptic_trace import LATER_FIELDS, HapticTrace, field_values, flags_of
 from pipelines.session.probe import Probe
 from pipelines.session.session_metrics import ContactRow, SampleReceivedRow, SampleSentRow, StepRow
 from telepresence.haptics.authority import Authority, ControlAuthority, PartnerBoard
@@ -40,7 +40,7 @@ class _End(Generic[Side]):
 
     def __init__(self, side: Side, probe: Probe) -> None:
         self.side = side
-        self.trace = HapticTrace([] if side.axes is None else side.axes.columns)
+        self.trace = HapticTrace(side.axes.columns)
         self._probe = probe
         self._link = side.link
         # Looked up once: they are called a thousand times a second.
@@ -59,9 +59,9 @@ class _End(Generic[Side]):
 
     def _trace_cycle(self, now_ns: int, values: Sequence[float], flags: int) -> None:
         """Add a row. values: of the fields of a cycle."""
-        link, axes = self._link, self.side.axes
+        link = self._link
         numbers = link.sent, link.counts.received, link.numbers.newest
-        self.trace.add((now_ns, *values, flags, *numbers, *(() if axes is None else axes.row())))
+        self.trace.add((now_ns, *values, flags, *numbers, *self.side.axes.row()))
 
     def _of_partner(self) -> bool:
         """Whether samples come from a partner's robot, which tells nobody when it sent them."""
@@ -73,11 +73,8 @@ class _End(Generic[Side]):
         link = self._link
         self._probe.publish(link.sent_metrics())
         self._probe.publish(link.received_metrics())
-        if self.side.felt:
-            self._probe.publish(self.side.report())
-        if self.side.felt and self.side.axes is not None:
-            for name, port in self.side.axes.report().items():
-                self._probe.publish(port, name)
+        for name, port in self.side.report().items() if self.side.felt else ():
+            self._probe.publish(port, name)
         self._sent.extend(link.take_sent_stamps())
         stamps = link.take_received_stamps()
         if not self._of_partner():
@@ -251,7 +248,7 @@ class RobotEnd(_End[RobotSide]):
             flags = flags_of(
                 contact=seen.contact, dead_man=seen.dead_man, acted=False, state=0, lit=None
             )
-            more = (side.unknown,) * (len(FIELDS) - FIRST_FIELDS)
+            more = (side.unknown,) * len(LATER_FIELDS)
             self._trace_cycle(now_ns, (*seen[:4], 0.0, *more), flags)
             return
         command = self._latest(now_ns)
@@ -324,13 +321,12 @@ class JoystickEnd(_End[JoystickSide]):
         if russian is not session.for_partner:
             self._link.begin_anew(for_partner=russian)
             self._leaves = True
-        axes = self.side.axes
-        forces = [axis.force_n for axis in axes.axes] if axes else []
-        if self._leaves and not any((self.side.force_x_n, self.side.force_y_n, *forces)):
+        side = self.side
+        forces = (side.force_x_n, side.force_y_n, *(axis.force_n for axis in side.handle.more))
+        if self._leaves and not any(forces):
             # Not before: the force of the last cycle is still to be paid for.
             self._leaves = False
-            for each in (self.side.controller, *(axes.controllers if axes else ())):
-                each.port.discard_credit(max(0.0, each.port.credit_j))
+            side.discard_credit()
         operation.partner = self._link.hearing and (russian or session.partner_there)
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:

@@ -20,7 +20,6 @@ from kontur_av.media import CaptureStamp, Quality
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand import haptic_trace
 from pipelines.hand.hand_topics import DriverState
-from pipelines.hand.haptic_trace import FIRST_FIELDS
 from pipelines.recording.schemas import (
     FOXGLOVE,
     OWN,
@@ -448,7 +447,7 @@ HAPTIC_SAMPLES = MessageSchema(
     fields=numbered(
         ("sfixed64[]", "time_ns", "instant of the cycle, session clock"),
         ("sfixed32[]", "sequence", "number of the sample on the link, 0 to 65535; -1: none"),
-        *(("float[]", each.name, each.what) for each in haptic_trace.FIELDS[:FIRST_FIELDS]),
+        *(("float[]", each.name, each.what) for each in haptic_trace.FIRST_FIELDS),
         (
             "fixed32[]",
             "flags",
@@ -470,7 +469,7 @@ HAPTIC_SAMPLES = MessageSchema(
             for own, fields in enumerate(_OWN_FIELDS, 1)
             for field, like in zip(fields, ("x_m", "fx_n", "energy_uj"), strict=True)
         ),
-        *(("float[]", each.name, each.what) for each in haptic_trace.FIELDS[FIRST_FIELDS:]),
+        *(("float[]", each.name, each.what) for each in haptic_trace.LATER_FIELDS),
     ),
 )
 _AXIS_FIELDS = [field for place in _PLACES for field in haptic_trace.axis_columns(place)]
@@ -552,7 +551,7 @@ def unpack_haptics(octets: bytes) -> NDArray[np.void]:
     more = [*(name for name in _AXIS_FIELDS if getattr(message, name)), *fields]
     names = (*(SAMPLE.names or ()), *more)
     columns = {name: getattr(message, fields.get(name, name)) for name in names}
-    later = [each.name for each in haptic_trace.FIELDS[FIRST_FIELDS:]]
+    later = [each.name for each in haptic_trace.LATER_FIELDS]
     columns |= {name: [nan] * len(message.time_ns) for name in later if not columns[name]}
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:

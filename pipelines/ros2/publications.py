@@ -24,12 +24,7 @@ from typing import Final, NamedTuple, Self
 from kontur_av.errors import ProtocolError
 from kontur_av.streams.coded_unit import CodedUnit
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
-from pipelines.hand.haptic_trace import (
-    FIELDS,
-    FIRST_FIELDS,
-    JOYSTICK_TRACE_TOPIC,
-    ROBOT_TRACE_TOPIC,
-)
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, LATER_FIELDS, ROBOT_TRACE_TOPIC
 from pipelines.mission.tmtc_messages import TMTC_TOPICS
 from pipelines.session.setup.segments import Segment
 from pipelines.session.topic import AnyTopic
@@ -224,5 +219,5 @@ def _sources(topology: Topology) -> Iterator[RosSource]:
 
 def _moved(end: str) -> tuple[Publication, ...]:
     kinds = {"pose": POSE, "twist": TWIST, "wrench": WRENCH}
-    kinds |= {each.name: NUMBER for each in FIELDS[FIRST_FIELDS:]}
+    kinds |= {each.name: NUMBER for each in LATER_FIELDS}
     return tuple(Publication(f"{NAMESPACE}/{end}/{name}", kind) for name, kind in kinds.items())

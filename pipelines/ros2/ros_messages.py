@@ -17,17 +17,7 @@ from kontur_av.errors import ProtocolError
 from kontur_av.media import VideoCodec
 from pipelines.hand.haptic_trace import DEAD_MAN, axis_columns, places_of
 from pipelines.ros2.hand import DEAD_MAN_BUTTON, JoyMessage, Velocity
-from pipelines.ros2.publications import (
-    DIAGNOSTICS,
-    IMAGE,
-    JOY,
-    NUMBER,
-    POSE,
-    TEXT,
-    TWIST,
-    VIDEO,
-    WRENCH,
-)
+from pipelines.ros2.publications import DIAGNOSTICS, IMAGE, JOY, POSE, TEXT, TWIST, VIDEO, WRENCH
 
 #: Foxglove's schema of a coded picture, which no release of ROS 2 brings along.
 _VIDEO_FIELDS = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
@@ -114,7 +104,7 @@ class RosMessages:
 
     def number(self, rows: NDArray[np.void], field: str) -> bytes:
         """Return a field of the last of `rows`."""
-        return self._packed(NUMBER, data=float(rows[-1][field]))
+        return self._packed("std_msgs/msg/Float32", data=float(rows[-1][field]))
 
     def joy(self, rows: NDArray[np.void], name: str, halves: Mapping[str, float]) -> bytes:
         """Return the handle in the last of `rows`, as `/joy` has it.

@@ -9,12 +9,7 @@ import numpy as np
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError
-from pipelines.hand.haptic_trace import (
-    JOYSTICK_TRACE_TOPIC,
-    ROBOT_TRACE_TOPIC,
-    charts_of,
-    row_type,
-)
+from pipelines.hand.haptic_trace import JOYSTICK_TRACE_TOPIC, ROBOT_TRACE_TOPIC, charts_of
 from pipelines.hand.knowledge import EndTraits
 from pipelines.media.following import board_view
 from pipelines.media.taking_over import preview_size
@@ -30,7 +25,6 @@ from pipelines.session.mission_messages import (
     RobotStatus,
     TaskListed,
 )
-from pipelines.session.page_messages import haptic_columns
 from pipelines.session.session_metrics import gathered
 from pipelines.session.setup.segments import Direction, Segment
 from pipelines.session.setup.table import Setup, VideoStream, VoiceStream
@@ -162,7 +156,7 @@ def seat_plan(
         inputs=tuple(_input_text(each) for each in inputs),
         joystick=topology.options.joystick,
         workspace=gathered(texts.WorkspaceText, JoystickModel()),
-        charts=tuple(_charts([axis.place for axis in setup.more_axes])),
+        charts=charts_of([axis.place for axis in setup.more_axes]),
         board=texts.BoardText(
             width_m=2 * setup.safety.half_width_m,
             height_m=2 * setup.safety.half_height_m,
@@ -217,13 +211,6 @@ def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:
         view = board_view(setup, camera)
         if view is not None:
             yield camera, view.shares(stream.width, stream.height)
-
-
-def _charts(more: Sequence[str]) -> Iterator[texts.ChartText]:
-    """The charts of haptics. more: the places of the axes behind x and y."""
-    columns = haptic_columns(row_type(more))
-    for name, chart in charts_of(more).items():
-        yield gathered(texts.ChartText, chart, column=columns.index(name))
 
 
 def welcome_text(

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, NamedTuple, TypeVar
 import msgspec
 
 from kontur_av.errors import ProtocolError, refused
+from pipelines.hand.haptic_trace import HapticChart
 from pipelines.session.access import Role
 from pipelines.session.setup.segments import Segment
 from telepresence.malformed import MALFORMED
@@ -86,16 +87,6 @@ class MarkText(msgspec.Struct, frozen=True, kw_only=True):
     half_height_m: float
 
 
-class ChartText(msgspec.Struct, frozen=True, kw_only=True):
-    """A chart of haptics. column: of the rows; the others are a `haptic_trace.StripChart`."""
-
-    column: int
-    title: str
-    unit: str
-    factor: float
-    least: float
-
-
 class BoardText(msgspec.Struct, frozen=True, kw_only=True):
     """The robot's workspace, with its middle at (0, 0), and the task board in it, if there is one.
 
@@ -163,7 +154,7 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     inputs: tuple[InputText, ...]
     joystick: str
     workspace: WorkspaceText
-    charts: tuple[ChartText, ...]
+    charts: tuple[HapticChart, ...]
     board: BoardText
     caps: dict[str, int]
     applications: tuple["ApplicationText", ...] = ()

@@ -17,7 +17,6 @@ The last four come from pages. Their length is checked before anything else is r
 
 import struct
 from collections.abc import Mapping
-from functools import cache
 from math import isfinite
 from typing import NamedTuple
 
@@ -95,23 +94,15 @@ def pack_haptic(end: int, rows: NDArray[np.void]) -> bytes:
 
     end: 0 for the joystick, 1 for the robot.
     """
-    columns = haptic_columns(rows.dtype)
-    out = np.empty(len(rows), _page_row(columns))
+    kind = rows.dtype
+    plain = [(name, "<f4") for name in kind.names or () if kind[name] == np.float32]
+    plain.append(("flags", "<u4"))
+    out = np.empty(len(rows), [("time_us", "<f8"), *plain])
     # JavaScript has no 64-bit integers.
     out["time_us"] = rows["time_ns"] / NS_PER_US
-    for name in (*columns, "flags"):
+    for name, _ in plain:
         out[name] = rows[name]
     return _HAPTIC.pack(HAPTIC, end, len(rows), 0) + out.tobytes()
-
-
-def haptic_columns(kind: "np.dtype[np.void]") -> tuple[str, ...]:
-    """Return the fields of such rows that a message has as numbers, in its order."""
-    return tuple(name for name in kind.names or () if kind[name] == np.float32)
-
-
-@cache
-def _page_row(columns: tuple[str, ...]) -> "np.dtype[np.void]":
-    return np.dtype([("time_us", "<f8"), *((name, "<f4") for name in columns), ("flags", "<u4")])
 
 
 def pack_preview(preview: int, capture_us: int, picture: I420) -> bytes:

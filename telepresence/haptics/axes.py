@@ -15,7 +15,7 @@ from typing import Final, Literal, NamedTuple, Protocol
 
 from kontur_av.clock import NS_PER_S
 from kontur_av.errors import ConfigError, ProtocolError
-from telepresence.haptics.sample import FORCE_N, POSITION_M, SAMPLE_OCTETS
+from telepresence.haptics.sample import SAMPLE_OCTETS
 
 #: Octets of one axis in a sample.
 AXIS_OCTETS: Final = 5
@@ -226,53 +226,11 @@ def read_axes(data: bytes, count_of: float) -> list[AxisValue]:
     return values
 
 
-class AxisTotals:
-    """The energies of all more axes on both ways, as `HapticLink` keeps those of x and y.
-
-    Sent: of all sessions, and what of it was sent in earlier ones. Heard: likewise.
-    """
-
-    def __init__(self, more: int, *, robot: bool) -> None:
-        self.octets = more * AXIS_OCTETS
-        self._sends, self._hears = (FORCE_N, POSITION_M) if robot else (POSITION_M, FORCE_N)
-        self._granted, self._granted_before = [0] * more, [0] * more
-        self._heard, self._heard_before = [0] * more, [0] * more
-
-    @property
-    def most_uj(self) -> int:
-        """The largest total of either way in this session, as x and y would count it."""
-        here = (now - old for now, old in zip(self._granted, self._granted_before, strict=True))
-        there = (now - old for now, old in zip(self._heard, self._heard_before, strict=True))
-        # Their records have a bit less.
-        return 2 * max(*here, *there)
-
-    def handle_sending(self) -> None:
-        """Samples go out in another session: each joule is granted in one only."""
-        self._granted_before = list(self._granted)
-
-    def handle_receiving(self) -> None:
-        """Samples of another session are used."""
-        self._heard_before = list(self._heard)
-
-    def pack(self, values: Sequence[AxisValue]) -> bytes:
-        """Return the octets of `values`, which are sent now."""
-        self._granted = [energy_uj for _, energy_uj, _ in values]
-        return pack_axes(values, self._granted_before, self._sends)
-
-    def split(self, data: bytes) -> tuple[bytes, list[AxisValue]]:
-        """Return the octets of x and y, and the axes; the energies are those of its session."""
-        if len(data) != SAMPLE_OCTETS + self.octets:
-            raise ProtocolError(f"haptic sample: {len(data)} octets with {self.octets} of axes")
-        return data[:SAMPLE_OCTETS], read_axes(data[SAMPLE_OCTETS:], self._hears)
-
-    def take(self, values: Sequence[AxisValue]) -> tuple[AxisValue, ...]:
-        """Return `values` of the newest sample with the energies of all sessions heard."""
-        taken = []
-        for index, (value, energy_uj, acted) in enumerate(values):
-            heard_uj = max(self._heard[index], self._heard_before[index] + energy_uj)
-            self._heard[index] = heard_uj
-            taken.append((value, heard_uj, acted))
-        return tuple(taken)
+def split_axes(data: bytes, more: int, count_of: float) -> tuple[bytes, list[AxisValue]]:
+    """Return the octets of x and y, and the values of `more` axes behind them; ProtocolError."""
+    if len(data) != sample_octets(more):
+        raise ProtocolError(f"haptic sample: {len(data)} octets with {more} more axes")
+    return data[:SAMPLE_OCTETS], read_axes(data[SAMPLE_OCTETS:], count_of)
 
 
 class MoreAxis:

@@ -13,14 +13,12 @@ from telepresence.haptics.haptic_metrics import PortMetrics
 from telepresence.haptics.joystick_controller import JoystickController, JoystickControllerModel
 from telepresence.haptics.passivity import PortController
 from telepresence.haptics.robot_controller import RobotController, RobotControllerModel
-from telepresence.haptics.sample import Command, Feedback
+from telepresence.haptics.sample import Command, Feedback, along
 
 _CYCLE_S = NS_PER_MS / NS_PER_S
 #: What a handle deflected fully tells of an axis in rate mode (m), and below which share of it the
 #: axis rests; before the first rest after a press it does not move.
 RATE_FULL_M, _NEUTRAL = 0.1, 0.05
-#: Skips `__new__` of a sample, which is one more Python call for each axis and cycle.
-_tuple = tuple.__new__
 
 
 class _Axes:
@@ -123,8 +121,7 @@ class RobotAxes(_Axes):
                     if pressed:
                         self._offsets[index] = controller.reference_x_m - position_m
                     position_m += self._offsets[index]
-                values = (position_m, 0.0, energy_uj, *command[3:6], acted, *command[7:])
-                own = _tuple(Command, values)
+                own = along(command, position_m, energy_uj, acted)
             controller.speed_m_s = speed * axis.most_m_s
             axis.force_n, _ = controller.step(
                 own, axis.position_m, 0.0, axis.speed_m_s, 0.0, dt_ns, touching=axis.contact
@@ -189,9 +186,7 @@ class JoystickAxes(_Axes):
         for index, (axis, controller) in enumerate(zip(self.axes, self.controllers, strict=True)):
             own = None
             if feedback is not None:
-                force_n, energy_uj, acted = feedback[-1][index]
-                values = (force_n, 0.0, energy_uj, *feedback[3:6], acted, *feedback[7:])
-                own = _tuple(Feedback, values)
+                own = along(feedback, *feedback[-1][index])
             controller.limit_n = min(limit_n, axis.force_limit_n)
             if axis.rate:
                 continue

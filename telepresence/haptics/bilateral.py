@@ -98,6 +98,7 @@ class _Side:
 
     link: HapticLink[Any, Any]
     controller: JoystickController | RobotController
+    axes: JoystickAxes | RobotAxes
 
     def __init__(self) -> None:
         self.force_x_n = self.force_y_n = 0.0
@@ -123,9 +124,14 @@ class _Side:
         acted, self._acted = controller.acted != self._acted, controller.acted
         return acted
 
-    def report(self) -> PortMetrics:
-        """Return the energies of the port (µJ), and the counts of the passivity controller."""
-        return self.controller.report()
+    def discard_credit(self) -> None:
+        """No energy that was granted so far pays for anything that follows."""
+        for each in (self.controller, *self.axes.controllers):
+            each.port.discard_credit(max(0.0, each.port.credit_j))
+
+    def report(self) -> dict[str, PortMetrics]:
+        """Return each port's energies (µJ) and counts: "" of x and y, the others by their axis."""
+        return {"": self.controller.report(), **self.axes.report()}
 
 
 class JoystickSide(_Side):
@@ -171,8 +177,7 @@ class JoystickSide(_Side):
         self.link: HapticLink[Command, Feedback] = link or joystick_link()
         self._last_ns = NS_PER_MS
         self._restarts = 0
-        more = self.handle.more
-        self.axes = JoystickAxes(more, model, passive=passive) if more else None
+        self.axes: JoystickAxes = JoystickAxes(self.handle.more, model, passive=passive)
         super().__init__()
 
     def handle_cycle(self, now_ns: int, advance_ns: int) -> None:
@@ -196,7 +201,7 @@ class JoystickSide(_Side):
             state >= STATE_HALTED,
             handle.stop,
             handle.blind,
-            () if self.axes is None else self.axes.values(),
+            self.axes.values() if handle.more else (),
         )
         self.link.handle_local(_tuple(Command, command), now_ns)
 
@@ -212,7 +217,7 @@ class JoystickSide(_Side):
         controller.limit_n = limit_n = handle.force_limit_n if self.felt else 0.0
         # The handle covered its last distance in the previous step's time, not in this step's.
         fx, fy = controller.step(feedback, handle.x_m, handle.y_m, self._last_ns)
-        if self.axes is not None:
+        if handle.more:
             self.axes.step(feedback, limit_n, self._last_ns)
         self._last_ns = dt_ns
         self.force_x_n, self.force_y_n = fx, fy
@@ -274,8 +279,7 @@ class RobotSide(_Side):
         self.controller: RobotController = RobotController(
             model, passive=passive, x_m=robot.x_m, y_m=robot.y_m
         )
-        model = self.controller.model
-        self.axes = RobotAxes(robot.more, model, passive=passive) if robot.more else None
+        self.axes: RobotAxes = RobotAxes(robot.more, self.controller.model, passive=passive)
         self.link: HapticLink[Feedback, Command] = link or robot_link()
         assert isinstance(self.link.session, RobotSession)
         self._session = self.link.session
@@ -303,15 +307,12 @@ class RobotSide(_Side):
         direct = controller.passive and (estimator is None or estimator.told is None)
         controller.trip_s = (self.link.round_trip_ns or 0) / NS_PER_S if direct else None
         acted = self._advance(now_ns, advance_ns)
-        contact = robot.contact or (
-            self.axes is not None and any(axis.contact for axis in robot.more)
-        )
+        contact = robot.contact or (bool(robot.more) and any(axis.contact for axis in robot.more))
         if self.ownership is not None:
             speed_m_s = hypot(robot.vx_m_s, robot.vy_m_s, *(one.speed_m_s for one in robot.more))
             if self.ownership.handle_robot(speed_m_s, now_ns):
                 # No energy of the owner before pays for a movement of the new one.
-                for each in (controller, *(self.axes.controllers if self.axes else ())):
-                    each.port.discard_credit(max(0.0, each.port.credit_j))
+                self.discard_credit()
                 if envelope is not None:
                     envelope.require_press(Hold.OWNER)
         push_x, push_y = robot.push_x_n, robot.push_y_n
@@ -340,7 +341,7 @@ class RobotSide(_Side):
             envelope is not None and envelope.waiting,
             envelope is not None and envelope.stopped,
             envelope is not None and envelope.blind,
-            () if self.axes is None else self.axes.values(),
+            self.axes.values() if robot.more else (),
         )
         self.link.handle_local(_tuple(Feedback, feedback), now_ns)
 
@@ -366,8 +367,7 @@ class RobotSide(_Side):
             robot.drive(dt_ns)
             controller.release(robot.x_m, robot.y_m)
             self.force_x_n = self.force_y_n = 0.0
-            if self.axes is not None:
-                self.axes.release()
+            self.axes.release()
             if self.envelope is not None:
                 self.envelope.handle_off(command, self._now_ns)
             return
@@ -390,7 +390,7 @@ class RobotSide(_Side):
         x, y, vx, vy = robot.x_m, robot.y_m, robot.vx_m_s, robot.vy_m_s
         fx, fy = controller.step(command, x, y, vx, vy, dt_ns, touching=robot.contact)
         self.force_x_n, self.force_y_n = fx, fy
-        if self.axes is not None:
+        if robot.more:
             presses, share = 0, 1.0
             if envelope is not None:
                 presses, share = envelope.presses, envelope.speed_m_s / envelope.limits.speed_m_s

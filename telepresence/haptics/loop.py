@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ProtocolError
-from telepresence.haptics.axes import AxisTotals
+from telepresence.haptics.axes import AXIS_OCTETS, pack_axes, split_axes
 from telepresence.haptics.deadband import Deadband, command_deadband, feedback_deadband
 from telepresence.haptics.echo import EchoProbe, EchoReturn
 from telepresence.haptics.haptic_metrics import SamplesReceived, SamplesSent
@@ -16,6 +16,8 @@ from telepresence.haptics.sample import (
     FLAG_ECHOES,
     FLAG_GREETING,
     FLAG_HOLDING,
+    FORCE_N,
+    POSITION_M,
     SAMPLE_OCTETS,
     SEQUENCE_MODULUS,
     Command,
@@ -52,8 +54,9 @@ _STAMPS_DEPTH = 8192
 
 
 class _Totals:
-    """Energies in µJ, and what of them belongs to earlier sessions.
+    """Energies of a port in µJ, and what of them belongs to earlier sessions.
 
+    x and y have one port together, each axis behind them has its own.
     granted_uj: as it was sent. heard_uj: the most that was received.
     """
 
@@ -68,6 +71,13 @@ class _Totals:
         here_uj = self.granted_uj - self.granted_before_uj
         there_uj = self.heard_uj - self.heard_before_uj
         return here_uj if here_uj > there_uj else there_uj
+
+    def take_uj(self, energy_uj: int) -> int:
+        """Return the energy of all sessions heard; energy_uj: of the present one, in a sample."""
+        heard_uj = self.heard_before_uj + energy_uj
+        if heard_uj > self.heard_uj:
+            self.heard_uj = heard_uj
+        return self.heard_uj
 
 
 class HapticLink(Generic[Out, In]):
@@ -111,8 +121,11 @@ class HapticLink(Generic[Out, In]):
         self._robot = isinstance(session, RobotSession)
         self._echo = EchoProbe() if self._robot else EchoReturn()
         self.more = more
-        self._axes = AxisTotals(more, robot=self._robot) if more else None
         self._totals = _Totals()
+        #: Of the axes behind x and y.
+        self._axes = [_Totals() for _ in range(more)]
+        counts_of = (FORCE_N, POSITION_M) if self._robot else (POSITION_M, FORCE_N)
+        self._sends, self._hears = counts_of
         #: The session of the last sample sent.
         self._sending = 0
         self._local: Out | None = None
@@ -131,8 +144,8 @@ class HapticLink(Generic[Out, In]):
         """A datagram arrived. Garbage is counted; this never raises."""
         axes, counts = self._axes, self.counts
         try:
-            if axes is not None:
-                data, more = axes.split(data)
+            if axes:
+                data, more = split_axes(data, self.more, self._hears)
             if len(data) == SAMPLE_OCTETS and data[2] & FLAG_GREETING:
                 self._handle_greeting(data, now_ns)
                 return
@@ -156,7 +169,11 @@ class HapticLink(Generic[Out, In]):
         heard_uj = totals.heard_before_uj + value[2]
         if heard_uj > totals.heard_uj:
             totals.heard_uj = heard_uj
-        rest = value[3:] if axes is None else (*value[3:-1], axes.take(more))
+        rest = value[3:]
+        if axes:
+            taken = zip(axes, more, strict=True)
+            mores = tuple([(one[0], each.take_uj(one[1]), one[2]) for each, one in taken])
+            rest = (*rest[:-1], mores)
         self._newest = _tuple(type(value), (value[0], value[1], heard_uj, *rest))
         stamps = self._received_stamps
         stamps.append(sequence)
@@ -201,7 +218,7 @@ class HapticLink(Generic[Out, In]):
         if (instead := self._poll_greeting(now_ns, holding)) is not None:
             if band is not None:
                 band.handle_other(now_ns)
-            return instead if axes is None else instead + bytes(axes.octets)
+            return instead + bytes(AXIS_OCTETS * self.more) if axes else instead
         if band is not None:
             local = band.handle_sample(local, holding, now_ns)
             if local is None:
@@ -209,8 +226,10 @@ class HapticLink(Generic[Out, In]):
         totals.granted_uj = local.energy_uj
         sequence = self.sent % SEQUENCE_MODULUS
         data = self._pack(sequence, local, holding, self._sending, totals.granted_before_uj)
-        if axes is not None:
-            data += axes.pack(local[-1])
+        if axes:
+            for each, (_, granted_uj, _) in zip(axes, local[-1], strict=True):
+                each.granted_uj = granted_uj
+            data += pack_axes(local[-1], [each.granted_before_uj for each in axes], self._sends)
         self.sent += 1
         self._sent_ns.append(now_ns)
         return data
@@ -279,16 +298,18 @@ class HapticLink(Generic[Out, In]):
     def _poll_greeting(self, now_ns: int, holding: bool) -> bytes | None:
         """Return what goes in the place of a sample, or None."""
         session, totals, axes = self.session, self._totals, self._axes
-        most_uj = totals.most_uj() if axes is None else max(totals.most_uj(), axes.most_uj)
+        most_uj = totals.most_uj()
+        if axes:
+            # Their records have a bit less.
+            most_uj = max(most_uj, *(2 * each.most_uj() for each in axes))
         greeting = session.poll_greeting(most_uj, now_ns)
         if greeting is not None:
             return pack_greeting(greeting, feedback=self._robot, holding=holding)
         if session.sending != self._sending:
             # Each joule is granted in one session only.
             self._sending = session.sending
-            totals.granted_before_uj = totals.granted_uj
-            if axes is not None:
-                axes.handle_sending()
+            for each in (totals, *axes):
+                each.granted_before_uj = each.granted_uj
         echo = self._echo.poll_transmit(now_ns)
         if echo is None:
             return None
@@ -308,9 +329,8 @@ class HapticLink(Generic[Out, In]):
         if not self.session.handle_change(number):
             return False
         self.counts.sessions += 1
-        self._totals.heard_before_uj = self._totals.heard_uj
-        if self._axes is not None:
-            self._axes.handle_receiving()
+        for each in (self._totals, *self._axes):
+            each.heard_before_uj = each.heard_uj
         restarted = self.session.restarts != restarts
         if restarted or self._newest is None or not self.numbers.continue_with(sequence, now_ns):
             self.numbers.begin_with(sequence)

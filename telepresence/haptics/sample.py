@@ -10,7 +10,7 @@ A greeting or an echo goes in the place of a sample. `session.py` and `echo.py` 
 """
 
 import struct
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeVar
 
 from kontur_av.errors import ProtocolError
 
@@ -141,6 +141,14 @@ class Feedback(NamedTuple):
     def drive(self) -> Drive:
         """What drives the robot."""
         return "hand" if not self.halted else "off" if self.mode == MODE_OFF else "own"
+
+
+_Sample = TypeVar("_Sample", Command, Feedback)
+
+
+def along(sample: _Sample, value: float, energy_uj: int, acted: bool) -> _Sample:
+    """Return `sample` as a controller of one more axis takes it: with these along x, 0 along y."""
+    return _tuple(type(sample), (value, 0.0, energy_uj, *sample[3:6], acted, *sample[7:]))
 
 
 class Greeting(NamedTuple):

@@ -28,7 +28,12 @@ from telepresence.haptics.device.page import PageInput
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
 
 PLANS = [
-    seat_plan(topology_of(BUILT_IN["spacejustin"], pages=True), segment, "x", built_in_dictionary())
+    seat_plan(
+        topology_of(BUILT_IN["spacejustin"], pages=True, joystick="page"),
+        segment,
+        "x",
+        built_in_dictionary(),
+    )
     for segment in Segment
 ]
 #: More than all depths of a queue together, without a replay.

@@ -19,7 +19,7 @@ from kontur_av.clock import NS_PER_S
 from kontur_av.codecs.decoder import DecodedPicture, VideoDecoder
 from kontur_av.errors import ConfigError, ProtocolError
 from kontur_av.media import I420, empty_picture
-from pipelines.hand.haptic_trace import FIELDS, FIRST_FIELDS, axis_columns, places_of
+from pipelines.hand.haptic_trace import LATER_FIELDS, axis_columns, places_of
 from pipelines.recording.channels import RECEIVED, SENT
 from pipelines.recording.export.columns import Columns
 from pipelines.recording.export.films import FilmUnit, FilmUnits
@@ -220,7 +220,7 @@ class _Hand:
         self._acted_s = acted_s[order]
         places = places_of(robot)
         self.names = {STATE: places, FORCE: [axis_columns(place)[1] for place in places]}
-        if later := [each.name for each in FIELDS[FIRST_FIELDS:]]:
+        if later := [each.name for each in LATER_FIELDS]:
             self.names[MORE] = later
         self._values = {key: _matrix(robot, names) for key, names in self.names.items()}
         self.names[ACTION] = places

@@ -4,7 +4,7 @@
  *
  * @import { Connection } from "./connection.js"
  * @import { Seat } from "./seat.js"
- * @import { ChartText } from "./texts.js"
+ * @import { HapticChart } from "./texts.js"
  */
 import { make } from "./dom.js";
 import { drawOften } from "./drawing_loop.js";
@@ -29,7 +29,7 @@ class HapticCharts extends HTMLElement {
   #keys = SIGNALS.map(({ end }) => make("span", { class: "key", "data-end": end, hidden: true }, end));
   /** Rows of each trace that the charts have already. */
   #shown = [0, 0];
-  /** As the server tells them. @type {readonly ChartText[]} */
+  /** As the server tells them. @type {readonly HapticChart[]} */
   #charts = [];
   /** @type {StripChart[]} */
   #strips = [];
@@ -74,7 +74,7 @@ class HapticCharts extends HTMLElement {
     this.#choose(SPAN_S);
   }
 
-  /** @param {readonly ChartText[]} charts */
+  /** @param {readonly HapticChart[]} charts */
   #show(charts) {
     if (JSON.stringify(charts) === JSON.stringify(this.#charts)) return;
     for (const strip of this.#strips) strip.remove();
@@ -93,7 +93,7 @@ class HapticCharts extends HTMLElement {
     for (const strip of this.#strips) strip.spanUs = seconds * 1e6;
   }
 
-  /** Hands a strip the samples that it lost. @param {StripChart} strip @param {ChartText} chart */
+  /** Hands a strip the samples that it lost. @param {StripChart} strip @param {HapticChart} chart */
   #refill(strip, chart) {
     this.#traces.forEach((trace, end) => {
       for (let row = trace.oldest; row < this.#shown[end]; row += 1) put(strip, chart, trace, end, row);
@@ -101,7 +101,7 @@ class HapticCharts extends HTMLElement {
   }
 }
 
-/** @param {StripChart} strip @param {ChartText} chart @param {HapticTrace} trace @param {number} end @param {number} row */
+/** @param {StripChart} strip @param {HapticChart} chart @param {HapticTrace} trace @param {number} end @param {number} row */
 function put(strip, chart, trace, end, row) {
   const place = row % trace.capacity;
   strip.add(end, trace.timesUs[place], trace.values[chart.column][place] * chart.factor);

@@ -40,9 +40,10 @@
  */
 
 /**
- * A chart of haptics. column: of the rows; the others are a `haptic_trace.StripChart`.
- * @typedef {{column: number, title: string, unit: string, factor: number, least: number}}
- *   ChartText
+ * A chart of the pages. factor turns a value into `unit`; at least ±least of that is shown.
+ * column: of the rows that a page gets.
+ * @typedef {{title: string, unit: string, factor: number, least: number, column: number}}
+ *   HapticChart
  */
 
 /**
@@ -115,11 +116,11 @@
  * The first text of a connection. page: its number. name: who sits there.
  * @typedef {{kind: "hello", seat: "ground" | "space", setup: string, session: string, streams:
  *   StreamText[], cameras: CameraText[], previews: PreviewText[], inputs: InputText[], joystick:
- *   string, workspace: WorkspaceText, charts: ChartText[], board: BoardText, caps: Record<string,
- *   number>, applications: ApplicationText[], passes: PassText[], tasks: boolean, task_list:
- *   TaskText[], views: Record<string, number[]>, exercises: ExerciseText[], pad: PadText | null,
- *   role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" | "trainer" |
- *   "viewer", page: number, name: string, now_us: number}} HelloText
+ *   string, workspace: WorkspaceText, charts: HapticChart[], board: BoardText, caps:
+ *   Record<string, number>, applications: ApplicationText[], passes: PassText[], tasks: boolean,
+ *   task_list: TaskText[], views: Record<string, number[]>, exercises: ExerciseText[], pad:
+ *   PadText | null, role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" |
+ *   "trainer" | "viewer", page: number, name: string, now_us: number}} HelloText
  */
 
 /**

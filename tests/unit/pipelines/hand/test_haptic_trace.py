@@ -11,7 +11,7 @@ from telepresence.haptics.device.states import JoystickState
 from telepresence.haptics.envelope import SafetyEnvelope
 
 #: Of the fields that the first version did not have.
-LATER = (0.5,) * (len(haptic_trace.FIELDS) - haptic_trace.FIRST_FIELDS)
+LATER = (0.5,) * len(haptic_trace.LATER_FIELDS)
 
 
 def test_rows_are_read_back_as_they_were_with_axes_by_name():

@@ -142,7 +142,7 @@ def test_one_robot_at_a_time_follows_the_hand_and_the_port_stays_passive(bench):
         assert bench.service.control.powered is mine
         assert bench.service.status(bench.now_ns).partner == ("ready" if mine else "driven")
         for side in (bench.joystick.side, bench.ours.side, bench.partner):
-            assert side.report().least_uj >= -1
+            assert side.report()[""].least_uj >= -1
     assert bench.board.ownership.report().turns == 4
     # No sample under way was for the other robot.
     assert bench.ours.side.link.counts.lost == bench.joystick.side.link.counts.lost == 0

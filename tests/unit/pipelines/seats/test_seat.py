@@ -31,7 +31,7 @@ DICTIONARY = built_in_dictionary()
 SELECT_HEAD = {"application": "camera", "name": "select", "arguments": ["head"]}
 TOLD = "emergency stop by a telecommand: the robot is off"
 WATCH_ONLY = "a viewer may watch only"
-TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True)
+TOPOLOGY = topology_of(BUILT_IN["spacejustin"], pages=True, joystick="page")
 KEY, DELTA = b"\0\0\0\1\x67s\0\0\0\1\x68p\0\0\0\1\x65i", b"\0\0\0\1\x41d"
 FREE = {"holder": None, "you": False, "wanted_by": None, "who": "", "asks": "", "policy": ""}
 HAPTICS = np.zeros(BLOCK_ROWS, ROW).tobytes()
