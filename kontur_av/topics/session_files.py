@@ -190,22 +190,16 @@ def user_root() -> Path:
     """
     own = f"kontur-av-{os.getuid()}"
     named = (os.environ.get(name) for name in ("TMPDIR", "TEMP", "TMP"))
-    for directory in (
-        *filter(None, named),
-        os.fspath(SHARED_MEMORY),
-        "/tmp",
-        "/var/tmp",
-        os.curdir,
-    ):
+    for directory in (*filter(None, named), str(SHARED_MEMORY), "/tmp", "/var/tmp", os.curdir):
         chosen = Path(directory).absolute() / own
+        longest = len(os.fsencode(chosen)) + 1 + _SESSION_OCTETS + 1 + _SOCKET_NAME_OCTETS
+        if longest > _SOCKET_PATH_OCTETS:
+            continue
         # No file passes as a directory with "/." behind it.
         if os.access(chosen, os.X_OK) or os.access(f"{directory}/.", os.W_OK | os.X_OK):
             break
     else:
         raise ConfigError("no directory for temporary files: set TMPDIR to one of your own")
-    longest = len(os.fsencode(chosen)) + 1 + _SESSION_OCTETS + 1 + _SOCKET_NAME_OCTETS
-    if longest > _SOCKET_PATH_OCTETS:
-        chosen = Path("/tmp") / own
     _check_own(chosen)
     return chosen
 
