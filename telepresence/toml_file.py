@@ -137,6 +137,8 @@ def _told(wrong: str, path: str, table: Any, kind: type, what: str) -> str:
             # A value of a mapping; msgspec does not say which key it belongs to.
             name = path.partition("[...]")[0].removeprefix(".")
             for of, one in value.items() if is_dataclass(holder) and holder is not kind else ():
+                if not isinstance(one, Mapping):
+                    break
                 try:
                     typed(one, holder, "")
                 except ConfigError as error:

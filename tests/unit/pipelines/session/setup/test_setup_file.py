@@ -201,7 +201,8 @@ OWN, END = "composed.static = {compose = ", "}\n" + TOML
         (OWN + "['static', 'left']" + END, "composed.static: static is composed itself: name cam"),
         (OWN + "['stereo', 'left']" + END, "composed.static: stereo is composed itself: name"),
         (OWN + "['left', 'right'], size = 2" + END, "unknown field composed.static.size"),
-        (OWN + "3" + END, "composed must be a table of tables, like work = "),
+        (OWN + "3" + END, "composed.static.compose must be a list of texts in quotes, not 3"),
+        ("composed.static = 3\n" + TOML, "composed must be a table of tables, like work = "),
         (OWN + "['left', 'left']" + END, "compose takes two cameras"),
         (OWN + "['left', 'roof']" + END, "input roof .* --source roof=SPEC"),
         (
