@@ -60,7 +60,7 @@ _SAY = """
     document.querySelector("chat-panel form").requestSubmit();
 """
 #: Pixels of the map: from the middle to the wall, and into it.
-ACROSS, INTO = 75, 20
+ACROSS, INTO = 28, 8
 TRIES = 20
 
 
