@@ -68,17 +68,7 @@ FIRST_FIELDS: Final = (
     SampleField("energy_uj", "credit of this end's port, µJ", _CREDIT, _CREDIT),
 )
 #: A new one goes to the end, since recordings number them; older recordings do not have it.
-LATER_FIELDS: Final[tuple[SampleField, ...]] = (
-    SampleField(
-        "damping_n_s_m",
-        "damping that this end's controller commands, N s/m",
-        "controller.damping_n_s_m",
-        "controller.model.damping_n_s_m",
-        HapticChart("damping", "N s/m", 1.0, 20.0),
-        "damping",
-        "N.s/m",
-    ),
-)
+LATER_FIELDS: Final[tuple[SampleField, ...]] = ()
 FIELDS: Final = FIRST_FIELDS + LATER_FIELDS
 #: One cycle. time_ns: its instant. flags: see `flags_of`. sent: number of the sample that this end
 #: sent in the cycle. received: number of the newest sample that it acted on for the first time.

@@ -179,9 +179,9 @@ VECTORS = [
 # Packed: 1 in 8 octets | -1 | 1.0 | -2.0 | 0.5 | 0.0 | 8.0 | state 3, LED 1 lit, contact
 SAMPLES = bytes.fromhex(
     "0a08 0100000000000000 1204 ffffffff 1a04 0000803f 2204 000000c0"
-    "2a04 0000003f 3204 00000000 3a04 00000041 4204 01030200 920204 00008040"
+    "2a04 0000003f 3204 00000000 3a04 00000041 4204 01030200"
 )
-ONE_SAMPLE = np.array([(1, -1, 1.0, -2.0, 0.5, 0.0, 8.0, 4.0, 0x00020301)], SAMPLE)
+ONE_SAMPLE = np.array([(1, -1, 1.0, -2.0, 0.5, 0.0, 8.0, 0x00020301)], SAMPLE)
 
 
 @pytest.mark.parametrize(
@@ -198,9 +198,7 @@ def test_golden_haptic_samples():
     assert unpack_haptics(SAMPLES).tolist() == ONE_SAMPLE.tolist()
     # A flag is missing.
     with pytest.raises(ProtocolError, match=r"fields of \[0, 1\] values"):
-        unpack_haptics(SAMPLES[:-13])
-    # A recording of the version before.
-    assert np.isnan(unpack_haptics(SAMPLES[:-7])["damping_n_s_m"]).all()
+        unpack_haptics(SAMPLES[:-6])
 
 
 def test_every_schema_has_its_vector():
