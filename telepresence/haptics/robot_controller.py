@@ -26,7 +26,7 @@ _REST_M, _REST_S, _RESTED_S = 0.002, 0.1, 0.3
 #: While the joystick lacks the credit to show a press, the press decays, and its energy pays for
 #: what is shown. So the robot does not press harder than the hand feels for long. Its time constant
 #: (s) is this and so many round trips; the lack is smoothed with the other one.
-_UNFELT_S, _UNFELT_TRIPS, _LACK_S, _LEAST_LACK = 0.5, 8.0, 0.2, 0.05
+_UNFELT_S, _UNFELT_TRIPS, _LACK_S, _LEAST_LACK = 2.0, 16.0, 0.2, 0.05
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -126,7 +126,7 @@ def test_a_press_that_the_hand_does_not_feel_is_let_go_unless_a_wall_is_rendered
     side, robot = RobotController(), Robot(board=Board(WallModel(x_m=0.0, stiffness_n_m=5000.0)))
     side.port.credit_j, side.trip_s = 0.3, trip_s
     forces = []
-    for _ in range(4000):
+    for _ in range(10_000):
         command = Command(0.01, 0.0, 0, acted=lacks)
         step = side.step(command, robot.x_m, 0.0, robot.vx_m_s, 0.0, MS, touching=robot.contact)
         robot.step(*step, MS)
