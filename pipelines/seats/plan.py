@@ -39,7 +39,7 @@ from pipelines.session.topology.topics import (
 from pipelines.session.training import CAMERA, EXERCISES, TRAINER_TOPIC, Exercises, TrainerReach
 from telepresence.haptics.board import LEDS_M, LIGHTS_M, WALL_X_M, SpringModel
 from telepresence.haptics.device.policy import PolicyAxis, policy_axes
-from telepresence.haptics.device.stick_map import pad_controls
+from telepresence.haptics.device.stick_map import PadControls, pad_controls
 from telepresence.haptics.joystick import JoystickModel
 from telepresence.haptics.robot_device import SIMULATED_ROBOT
 from telepresence.haptics.specs import PAGE
@@ -194,14 +194,10 @@ def seat_plan(
     )
 
 
-def _pad(topology: Topology) -> texts.PadText | None:
+def _pad(topology: Topology) -> PadControls | None:
     """What a game controller at a page does; None: the usual."""
     mapping = topology.options.joystick_map
-    if mapping is None:
-        return None
-    controls = pad_controls(mapping, topology.setup.more_axes)
-    axes = tuple(gathered(texts.PadAxisText, axis) for axis in controls.axes)
-    return gathered(texts.PadText, controls, axes=axes)
+    return None if mapping is None else pad_controls(mapping, topology.setup.more_axes)
 
 
 def _views(setup: Setup) -> Iterator[tuple[str, tuple[float, ...]]]:

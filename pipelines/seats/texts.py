@@ -13,6 +13,7 @@ from kontur_av.errors import ProtocolError, refused
 from pipelines.hand.haptic_trace import HapticChart
 from pipelines.session.access import Role
 from pipelines.session.setup.segments import Segment
+from telepresence.haptics.device.stick_map import PadControls
 from telepresence.malformed import MALFORMED
 
 Level = Literal["good", "warn", "bad", "none"]
@@ -114,28 +115,6 @@ class ExerciseText(msgspec.Struct, frozen=True, kw_only=True):
     camera: str
 
 
-class PadAxisText(msgspec.Struct, frozen=True, kw_only=True):
-    """What moves an axis on a standard gamepad, as `PadAxis` has it; -1: no control."""
-
-    name: str
-    axis: int
-    up: int
-    down: int
-    scale: float
-    dead_zone: float
-    rate: bool
-
-
-class PadText(msgspec.Struct, frozen=True, kw_only=True):
-    """What a standard gamepad's controls do, as `PadControls` has it; -1: no button."""
-
-    axes: tuple[PadAxisText, ...]
-    dead_man: tuple[int, ...]
-    stop: int
-    hand_over: int
-    panel: tuple[int, ...]
-
-
 class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     """What does not change at a seat. tasks: whether the session has any.
 
@@ -163,7 +142,7 @@ class SeatText(msgspec.Struct, frozen=True, kw_only=True):
     task_list: tuple["TaskText", ...] = ()
     views: dict[str, tuple[float, ...]] = {}
     exercises: tuple[ExerciseText, ...] = ()
-    pad: PadText | None = None
+    pad: PadControls | None = None
 
 
 class HelloText(SeatText, frozen=True, kw_only=True, tag_field="kind", tag="hello"):

@@ -3,7 +3,7 @@
  * button is the dead-man button, the left stick is the handle's place, and the motors show the force.
  *
  * @import { HandControl } from "./hand_control.js"
- * @import { PadAxisText, PadText } from "./texts.js"
+ * @import { PadAxis, PadControls } from "./texts.js"
  */
 
 const LOOK_MS = 8;
@@ -13,7 +13,7 @@ const PRESSED = 0.3;
 const SHAKE_MS = 80;
 
 const PLAIN = { up: -1, down: -1, dead_zone: 0, rate: false };
-/** Shoulders and triggers are the dead-man button. @type {PadText} */
+/** Shoulders and triggers are the dead-man button. @type {PadControls} */
 const USUAL = {
   axes: [
     { ...PLAIN, name: "x", axis: 0, scale: 1 },
@@ -28,10 +28,10 @@ const USUAL = {
 /** @param {Gamepad} pad @param {number} index */
 const value = (pad, index) => pad.buttons[index]?.value ?? 0;
 
-/** Whether a dead-man button is pressed. @param {Gamepad} pad @param {PadText | null} [mapping] */
+/** Whether a dead-man button is pressed. @param {Gamepad} pad @param {PadControls | null} [mapping] */
 export const holdsDeadMan = (pad, mapping) => (mapping ?? USUAL).dead_man.some((index) => value(pad, index) > PRESSED);
 
-/** How far an axis is deflected, times its scale. @param {Gamepad} pad @param {PadAxisText} row */
+/** How far an axis is deflected, times its scale. @param {Gamepad} pad @param {PadAxis} row */
 function deflection(pad, row) {
   const share = row.axis >= 0 ? (pad.axes[row.axis] ?? 0) : value(pad, row.up) - value(pad, row.down);
   return (row.scale * Math.sign(share) * Math.max(Math.abs(share) - row.dead_zone, 0)) / (1 - row.dead_zone);
@@ -40,7 +40,7 @@ function deflection(pad, row) {
 /**
  * What a mapping can do beside moving axes.
  * @typedef {object} Mapped
- * @property {() => PadText | null} mapping What the session's file says; null: the usual.
+ * @property {() => PadControls | null} mapping What the session's file says; null: the usual.
  * @property {() => readonly string[]} axes The names of the axes behind x and y.
  * @property {() => void} stop
  * @property {() => void} handOver
@@ -60,7 +60,7 @@ export function steerByController(control, forceShare, mapped = UNMAPPED) {
   /** Which of the buttons that order something are pressed. */
   const ordering = { stop: false, handOver: false };
 
-  /** @param {Gamepad} pad @param {PadText} mapping @param {number} seconds */
+  /** @param {Gamepad} pad @param {PadControls} mapping @param {number} seconds */
   const move = (pad, mapping, seconds) => {
     const target = { x: 0, y: 0, ...control.target };
     const axes = mapped.axes();

@@ -101,15 +101,16 @@
  */
 
 /**
- * What moves an axis on a standard gamepad, as `PadAxis` has it; -1: no control.
+ * What moves an axis on a browser's standard gamepad: an axis, or two buttons, up and down. -1
+ * stands for none.
  * @typedef {{name: string, axis: number, up: number, down: number, scale: number, dead_zone:
- *   number, rate: boolean}} PadAxisText
+ *   number, rate: boolean}} PadAxis
  */
 
 /**
- * What a standard gamepad's controls do, as `PadControls` has it; -1: no button.
- * @typedef {{axes: PadAxisText[], dead_man: number[], stop: number, hand_over: number, panel:
- *   number[]}} PadText
+ * The mapping of a browser's standard gamepad. dead_man: any of these buttons will do.
+ * @typedef {{axes: PadAxis[], dead_man: number[], stop: number, hand_over: number, panel:
+ *   number[]}} PadControls
  */
 
 /**
@@ -119,8 +120,8 @@
  *   string, workspace: WorkspaceText, charts: HapticChart[], board: BoardText, caps:
  *   Record<string, number>, applications: ApplicationText[], passes: PassText[], tasks: boolean,
  *   task_list: TaskText[], views: Record<string, number[]>, exercises: ExerciseText[], pad:
- *   PadText | null, role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems" |
- *   "trainer" | "viewer", page: number, name: string, now_us: number}} HelloText
+ *   PadControls | null, role: "operator" | "cosmonaut" | "experimenter" | "supervisor" | "systems"
+ *   | "trainer" | "viewer", page: number, name: string, now_us: number}} HelloText
  */
 
 /**

@@ -9,7 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from re import fullmatch
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
+
+import msgspec
 
 from kontur_av.errors import ConfigError, refused
 from telepresence.haptics.axes import AXIS_NAMES, AxisName, AxisSettings
@@ -175,10 +177,10 @@ _PAD_TRIGGERS = {"ABS_Z": 6, "ABS_RZ": 7}
 NO_CONTROL: Final = -1
 
 
-class PadAxis(NamedTuple):
+class PadAxis(msgspec.Struct, frozen=True, kw_only=True):
     """What moves an axis on a browser's standard gamepad: an axis, or two buttons, up and down.
 
-    `NO_CONTROL` stands for none.
+    -1 stands for none.
     """
 
     name: str
@@ -190,7 +192,7 @@ class PadAxis(NamedTuple):
     rate: bool
 
 
-class PadControls(NamedTuple):
+class PadControls(msgspec.Struct, frozen=True, kw_only=True):
     """The mapping of a browser's standard gamepad. dead_man: any of these buttons will do."""
 
     axes: tuple[PadAxis, ...]
@@ -208,9 +210,7 @@ def pad_controls(mapping: StickMap, axes: Sequence[str]) -> PadControls:
     buttons = mapping.buttons
     return PadControls(
         axes=tuple(
-            PadAxis(name, *_pad_axis(name, row), row.scale, row.dead_zone, row.mode == "rate")
-            for name, row in mapping.axis.items()
-            if name in ("x", "y", *axes)
+            _pad_axis(name, row) for name, row in mapping.axis.items() if name in ("x", "y", *axes)
         ),
         dead_man=(_pad_button(buttons.dead_man),),
         stop=_pad_button(buttons.stop),
@@ -219,7 +219,21 @@ def pad_controls(mapping: StickMap, axes: Sequence[str]) -> PadControls:
     )
 
 
-def _pad_axis(name: str, row: MappedAxis) -> tuple[int, int, int]:
+def _pad_axis(name: str, row: MappedAxis) -> PadAxis:
+    axis, up, down = _pad_control(name, row)
+    rate = row.mode == "rate"
+    return PadAxis(
+        name=name,
+        axis=axis,
+        up=up,
+        down=down,
+        scale=row.scale,
+        dead_zone=row.dead_zone,
+        rate=rate,
+    )
+
+
+def _pad_control(name: str, row: MappedAxis) -> tuple[int, int, int]:
     names = [control_name(one, button=one.button) for one in row.controls]
     if len(names) == 2:
         known = _PAD_BUTTONS | _PAD_TRIGGERS
