@@ -432,12 +432,14 @@ def setup_fields() -> str:
     parts = []
     for name, (kind, in_file) in tables_of.items():
         said = _said_of_fields(kind)
-        lines = [f"**`{name}`**\n"] if name else []
+        heads: dict[str, list[str]] = {}
         for field in dataclasses.fields(in_file):
             own = {"size": "width"}.get(field.name, field.name.replace("_kbps", "_bps"))
             if name or own not in TABLES:
                 what = re.sub(r"\(?docs/(([\w-]+)\.md[#\w-]*)\)?", r"([\2](\1))", said[own])
-                lines.append(f"- `{field.name}`{_default(field, kind, own)}: {what}")
+                heads.setdefault(what, []).append(f"`{field.name}`{_default(field, kind, own)}")
+        lines = [f"**`{name}`**\n"] if name else []
+        lines += [f"- {', '.join(fields)}: {what}" for what, fields in heads.items()]
         parts.append("\n".join(lines) + "\n")
     return "\n".join(parts)
 
