@@ -463,7 +463,7 @@ def _default(field: dataclasses.Field[Any], kind: Any, own: str) -> str:
         choices = sorted(get_args(hint), key=lambda one: one != default)
         return " = " + ", ".join(f'`"{one}"`' for one in choices)
     if default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-        return " (must be given)" * (own != "name")
+        return " (required)" * (own != "name")
     return "" if default in (dataclasses.MISSING, None) else f" = `{json.dumps(default)}`"
 
 
