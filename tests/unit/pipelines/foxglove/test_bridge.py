@@ -138,6 +138,16 @@ def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing(b
     assert of_late[2:] == of_first[22:]
 
 
+def test_after_missed_units_clients_begin_anew(bridge):
+    client, shown = joined(bridge, VIDEO), []
+    for unit, stamp, key in units(30):
+        if not 10 <= stamp.sequence < 13:
+            show(bridge, unit, stamp, key)
+            shown.append(len(taken(bridge, client)))
+    # The first one behind the gap waits for the next, at which a key picture is asked for.
+    assert shown == [1] * 10 + [0] + [1] * 16
+
+
 def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_picture(bridge):
     reader = joined(bridge, VIDEO)
     coder = H265Encoder(width=160, height=128, fps=30, cap_bps=200_000, refresh_s=60)
