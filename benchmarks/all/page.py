@@ -63,6 +63,8 @@ def _section(runs: Sequence[Record], machine: str) -> str:
 def _table(group: str, found: Sequence[Headline]) -> list[str]:
     columns = list(dict.fromkeys(one.who for one in found))
     judged = list(dict.fromkeys(one.who for one in found if one.target))
+    if len(columns) == 1:
+        return _list(", ".join(filter(None, (group, *columns))), found)
     heads = [group or "figure", *(who or "median" for who in columns)]
     if judged:
         heads.append("target" if judged == columns else f"target ({', '.join(judged)})")
@@ -72,6 +74,17 @@ def _table(group: str, found: Sequence[Headline]) -> list[str]:
         cells = [_cell([one.value for one in row if one.who == who]) for who in columns]
         named = f"{what}, {unit}" if unit else what
         lines.append(_line([named, *cells, *[_verdict(row)] * bool(judged)]))
+    return lines
+
+
+def _list(head: str, found: Sequence[Headline]) -> list[str]:
+    """The figures of one column, a line each."""
+    lines = [f"{_safe(head)}:", ""] if head else []
+    for what, unit in dict.fromkeys((one.what, one.unit) for one in found):
+        row = [one for one in found if (one.what, one.unit) == (what, unit)]
+        named = f"{what}, {unit}" if unit else what
+        verdict = f"; target {_verdict(row)}" if _verdict(row) else ""
+        lines.append(_safe(f"- {named}: {_cell([one.value for one in row])}{verdict}"))
     return lines
 
 
