@@ -403,11 +403,12 @@ def joined(table: tables.Table) -> tables.Table:
 
 
 def recorded_channels(session: Topology) -> tables.Table:
-    """All channels that a recording of a session can have."""
+    """All channels that a recording of a session can have; their names say which way."""
     rows = channels_of(session, link_frames=True)
+    way = re.compile(r" (as (sent|received)|from this end for this end).*")
     return tables.Table(
         headings=("channel", "schema", "a message"),
-        rows=[(f"`{row.topic}`", row.schema.full_name, row.what) for row in rows],
+        rows=[(f"`{row.topic}`", row.schema.full_name, way.sub("", row.what)) for row in rows],
     )
 
 
