@@ -32,6 +32,14 @@ from pipelines.cli import main
 sys.exit(main())
 """
 SESSION_COMMAND = (sys.executable, "-c", _SESSION)
+#: The streams of SpaceJustin, for tests of anything but its pictures: these cost little.
+SMALL = """
+cameras = ["static", "head"]
+uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
+uplink_voice = {cap_kbps = 8}
+downlink_video = {cap_kbps = 512, size = "320x240", fps = 15}
+downlink_voice = {cap_kbps = 64}
+"""
 _LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
 _LIVE_HAPTIC = re.compile(r"(haptic_\w+) (\d+) received")
 

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from common import eventually, free_port
 from running_end import RunningEnd
+from running_session import SMALL
 from two_hosts import GROUND_PUBLIC, PORT, TwoHosts
 
 from pipelines.link.relay import PathRelay
@@ -26,6 +27,7 @@ def hosts():
 @pytest.fixture
 def start_end(hosts, keys, tmp_path):
     """start_end(end): `kontur-av stream --end` on its host; space calls ground."""
+    (setup := tmp_path / "small.toml").write_text(SMALL)
     with contextlib.ExitStack() as stack:
 
         def start(end):
@@ -33,7 +35,7 @@ def start_end(hosts, keys, tmp_path):
             where = ("--listen", f"0.0.0.0:{PORT}") if end == "ground" else ("--peer", at)
             return stack.enter_context(
                 RunningEnd(
-                    *("spacejustin", end, *where, "--key", keys[end]),
+                    *(str(setup), end, *where, "--key", keys[end]),
                     directory=tmp_path / f"{end}{time.monotonic_ns()}",
                     prefix=hosts.prefix(end),
                 )
