@@ -5,7 +5,7 @@ import signal
 
 import pytest
 from browser import LIVE, drawn, eventually, wait_for_pictures
-from running_session import RunningSession
+from running_session import BOARD, RunningSession
 
 #: Notes each change of the marks.
 NOTE_MARKS = """
@@ -34,7 +34,7 @@ def kill_all(session):
 @pytest.fixture
 def session(request, tmp_path):
     where = getattr(request, "param", "24200")
-    with RunningSession("taskboard", "--page", where, directory=tmp_path) as running:
+    with RunningSession(BOARD, "--page", where, directory=tmp_path) as running:
         running.pids()
         yield running
 

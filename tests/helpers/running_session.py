@@ -32,7 +32,11 @@ from pipelines.cli import main
 sys.exit(main())
 """
 SESSION_COMMAND = (sys.executable, "-c", _SESSION)
-#: The streams of SpaceJustin, for tests of anything but its pictures: these cost little.
+#: The task board and the streams of SpaceJustin, with pictures that cost less.
+BOARD = """
+cameras = ["stereo", "static"]
+uplink_video = {cap_kbps = 90, size = "320x240", fps = 15}
+"""
 SMALL = """
 cameras = ["static", "head"]
 uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
@@ -90,6 +94,14 @@ def _name_of(pid):
     return comm if comm.startswith("kav ") else None
 
 
+def written(setup, directory):
+    """Return a setup's name, or the path of the file that its text is written to."""
+    if "\n" not in setup:
+        return setup
+    (file := Path(directory) / "setup.toml").write_text(setup)
+    return str(file)
+
+
 class RunningSession:
     """`kontur-av stream` with options. Its exit ends the session in any case.
 
@@ -103,9 +115,7 @@ class RunningSession:
 
     def __init__(self, setup, *options, directory, prefix=()):
         self.prefix = prefix
-        if "\n" in setup:
-            (file := Path(directory) / "setup.toml").write_text(setup)
-            setup = str(file)
+        setup = written(setup, directory)
         pages = "--page" in options
         changes = {"rtc": RtcLeg()} if "--rtc" in options else {}
         self.setup = load_setup(setup, changes=changes)

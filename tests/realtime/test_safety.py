@@ -6,7 +6,7 @@ import time
 
 import pytest
 from robot_tip import Tip
-from running_session import eventually, restarted
+from running_session import BOARD, eventually, restarted
 
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from pipelines.session.mission_messages import ROBOT_STATUS_TOPIC
@@ -47,7 +47,7 @@ class Watched:
 @pytest.mark.rule("S10")
 @pytest.mark.rule("S6")
 def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatch):
-    session = start("taskboard")
+    session = start(BOARD)
     with session.bus(monkeypatch) as bus:
         watched = Watched(session, bus)
         tip = watched.tip
@@ -82,12 +82,12 @@ def test_a_halt_outlives_the_joystick_and_a_stop_outlives_both(start, monkeypatc
 def test_a_stop_outlives_its_killed_session_and_after_a_stall_the_robot_waits_for_a_new_press(
     start, monkeypatch
 ):
-    first = start("taskboard")
+    first = start(BOARD)
     first.pids()
     eventually(lambda: first.ask("stop").returncode == 0, "the robot's answer to a stop")
     os.killpg(first.process.pid, signal.SIGKILL)
     first.process.wait()
-    session = start("taskboard")
+    session = start(BOARD)
     with session.bus(monkeypatch) as bus:
         watched = Watched(session, bus)
         tip = watched.tip
