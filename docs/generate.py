@@ -126,10 +126,13 @@ def python_page() -> str:
     """docs/python.md: every exported name with its signature and what it is for."""
     parts = [HEAD]
     before: set[str] = set()
+    # One for all: each would read its whole package again.
+    loader = griffe.GriffeLoader(search_paths=[ROOT])
+    for package in dict.fromkeys(name.partition(".")[0] for name in PACKAGES):
+        loader.load(package, try_relative_path=False)
+    loader.resolve_aliases()
     for package in PACKAGES:
-        module = griffe.load(
-            package, search_paths=[ROOT], resolve_aliases=True, try_relative_path=False
-        )
+        module = loader.modules_collection[package]
         # What the package itself exports is not told again with its modules.
         names = sorted({*exported(module)} - before, key=lambda name: (name.lower(), name))
         before.update(names)

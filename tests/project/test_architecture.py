@@ -192,6 +192,7 @@ def names_from_shells(module: str) -> set[str]:
     return found
 
 
+@cache
 def modules() -> list[str]:
     found = [path for package in ORDER for path in (ROOT / package).rglob("*.py")]
     return sorted(path.relative_to(ROOT).as_posix() for path in found)
@@ -280,6 +281,7 @@ def test_cores_import_no_shell():
     assert not wrong, "a core is handed what a shell has read"
 
 
+@cache
 def cores_imported(module: str) -> set[str]:
     """The cores that a module imports and that are driven with `now_ns`."""
     names = {one for package, name in imports(module) for one in (package, f"{package}.{name}")}
