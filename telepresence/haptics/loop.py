@@ -225,8 +225,7 @@ class HapticLink(Generic[Out, In]):
             if local is None:
                 return None
         totals.granted_uj = local.energy_uj
-        sequence = self.sent % SEQUENCE_MODULUS
-        data = self._pack(sequence, local, holding, self._sending, totals.granted_before_uj)
+        data = self._pack(self.sent, local, holding, self._sending, totals.granted_before_uj)
         if axes:
             for each, (_, granted_uj, _) in zip(axes, local[-1], strict=True):
                 each.granted_uj = granted_uj
