@@ -126,10 +126,13 @@ def python_page() -> str:
     """docs/python.md: every exported name with its signature and what it is for."""
     parts = [HEAD]
     before: set[str] = set()
+    # One for all: each would read its whole package again.
+    loader = griffe.GriffeLoader(search_paths=[ROOT])
+    for package in dict.fromkeys(name.partition(".")[0] for name in PACKAGES):
+        loader.load(package, try_relative_path=False)
+    loader.resolve_aliases()
     for package in PACKAGES:
-        module = griffe.load(
-            package, search_paths=[ROOT], resolve_aliases=True, try_relative_path=False
-        )
+        module = loader.modules_collection[package]
         # What the package itself exports is not told again with its modules.
         names = sorted({*exported(module)} - before, key=lambda name: (name.lower(), name))
         before.update(names)
@@ -415,11 +418,12 @@ def joined(table: tables.Table) -> tables.Table:
 
 
 def recorded_channels(session: Topology) -> tables.Table:
-    """All channels that a recording of a session can have."""
+    """All channels that a recording of a session can have; their names say which way."""
     rows = channels_of(session, link_frames=True)
+    way = re.compile(r" (as (sent|received)|from this end for this end).*")
     return tables.Table(
         headings=("channel", "schema", "a message"),
-        rows=[(f"`{row.topic}`", row.schema.full_name, row.what) for row in rows],
+        rows=[(f"`{row.topic}`", row.schema.full_name, way.sub("", row.what)) for row in rows],
     )
 
 
