@@ -246,23 +246,28 @@ def commands_text() -> str:
     commands = [
         (name.removeprefix("kontur-av "), parser)
         for name, parser in _commands(make_parser(), "kontur-av")
-        if not name.startswith("kontur-av bench ")
+        if not name.startswith("kontur-av bench")
     ]
     rows = {name: _rows(parser) for name, parser in commands}
     shared = _shared({name: name.split()[0] for name in rows}, rows)
     parts = ["## Options of several commands\n"]
     parts += [f"- {option}: {told}" for option, told in shared]
     below: list[tuple[str, str]] = []
+    words = [name.split()[0] for name in rows]
+    several = {word for word in words if words.count(word) > 2}
     for name, parser in commands:
         told = _sentence(parser.description)
         own = _own(rows[name], shared)
-        if " " in name:
+        if name.split()[0] in several and " " in name:
             own = [row for row in own if row not in below]
             parts.append(f"- `{name}`: {told} {'; '.join(map(_told, own))}".rstrip())
             continue
         inner = {of: of for of in rows if of.startswith(f"{name} ")}
+        if len(inner) == 1:
+            # Told at its only subcommand.
+            continue
         below = [row for row in _shared(inner, rows) if row not in shared]
-        parts.append(f"\n## `kontur-av {name}`\n\n{told}")
+        parts.append(f"\n## `{name}`\n\n{told}")
         parts += [""] * bool(own or inner)
         parts += [f"- {_told(row)}" for row in own]
         parts += ["- of several: " + "; ".join(map(_told, below))] * bool(below)
@@ -318,7 +323,7 @@ def _rows(parser: argparse.ArgumentParser) -> list[tuple[str, str]]:
     """Each option with its value, and what it means."""
     rows = []
     for action in parser._actions:
-        hidden = "-h" in action.option_strings or action.help == argparse.SUPPRESS
+        hidden = action.dest.startswith("help") or action.help == argparse.SUPPRESS
         if hidden or isinstance(action, argparse._SubParsersAction):
             continue
         value = action.metavar or ("|".join(map(str, action.choices)) if action.choices else "")
@@ -406,11 +411,12 @@ def joined(table: tables.Table) -> tables.Table:
 
 
 def recorded_channels(session: Topology) -> tables.Table:
-    """All channels that a recording of a session can have."""
+    """All channels that a recording of a session can have; their names say which way."""
     rows = channels_of(session, link_frames=True)
+    way = re.compile(r" (as (sent|received)|from this end for this end).*")
     return tables.Table(
         headings=("channel", "schema", "a message"),
-        rows=[(f"`{row.topic}`", row.schema.full_name, row.what) for row in rows],
+        rows=[(f"`{row.topic}`", row.schema.full_name, way.sub("", row.what)) for row in rows],
     )
 
 
@@ -430,12 +436,14 @@ def setup_fields() -> str:
     parts = []
     for name, (kind, in_file) in tables_of.items():
         said = _said_of_fields(kind)
-        lines = [f"**`{name}`**\n"] if name else []
+        heads: dict[str, list[str]] = {}
         for field in dataclasses.fields(in_file):
             own = {"size": "width"}.get(field.name, field.name.replace("_kbps", "_bps"))
             if name or own not in TABLES:
                 what = re.sub(r"\(?docs/(([\w-]+)\.md[#\w-]*)\)?", r"([\2](\1))", said[own])
-                lines.append(f"- `{field.name}`{_default(field, kind, own)}: {what}")
+                heads.setdefault(what, []).append(f"`{field.name}`{_default(field, kind, own)}")
+        lines = [f"**`{name}`**\n"] if name else []
+        lines += [f"- {', '.join(fields)}: {what}" for what, fields in heads.items()]
         parts.append("\n".join(lines) + "\n")
     return "\n".join(parts)
 
@@ -459,7 +467,7 @@ def _default(field: dataclasses.Field[Any], kind: Any, own: str) -> str:
         choices = sorted(get_args(hint), key=lambda one: one != default)
         return " = " + ", ".join(f'`"{one}"`' for one in choices)
     if default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-        return " (must be given)" * (own != "name")
+        return " (required)" * (own != "name")
     return "" if default in (dataclasses.MISSING, None) else f" = `{json.dumps(default)}`"
 
 

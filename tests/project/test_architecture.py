@@ -61,7 +61,7 @@ SHELLS = {
     "pipelines/partner": "coded_sources peer samples server transport whip",
     "pipelines/recording": (
         "camera_reader live_output matroska part_files raw_pictures received_media recorded_parts "
-        "recording_file replay_setup"
+        "recording_file replay_setup topic_samples"
     ),
     "pipelines/recording/export": "films lerobot table_files",
     "pipelines/report": "charts live process_metrics report_file schema session_feed",
