@@ -89,7 +89,7 @@ class Newcomer:
 
     def sit_down(self, words):
         """Take the seat that is for what one wants to do."""
-        self.click("take a seat", words, "a")
+        eventually(lambda: self.click("take a seat", words, "a"), "the way to the seat")
         eventually(lambda: "Take a seat" not in self.page.driver().title, "the seat")
 
     def read(self, title=""):
