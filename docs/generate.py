@@ -70,7 +70,7 @@ with ka.StreamReceiver(port=5004) as stream:
 print(stream.ended)
 ```
 
-Send a file, `v4l2:/dev/video0` or `rtsp://…`: what `kontur-av send` does, and returns its report.
+Send a file, `v4l2:/dev/video0` or `rtsp://…`, as `kontur-av send` does.
 
 ```python
 report = ka.send("clip.mp4", "localhost:5004", cap_bps=250_000, seconds=2)
@@ -107,14 +107,13 @@ with ka.SoundSender("localhost:5006", cap_bps=64_000) as end:
 
 ## Reference
 
-Import these names from the modules that stand above them. All else is the project's own and may
-change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
-
-Classes are bold; of small ones the methods stand behind. Types, units, shapes and errors are in the
-docstrings: `python -c "import kontur_av; help(kontur_av.PictureSender)"`.
+Import these names from the modules that stand above them; all else may change. Instants are
+integer nanoseconds of one clock, most often a `MonotonicClock`. Classes are bold, with the methods
+of small ones. Types, units, shapes, errors and what `…` stands for are in the docstrings:
+`python -c "import kontur_av; help(kontur_av.send)"`.
 """
-#: Of a class with more methods the page has none.
-MOST_METHODS = 5
+#: Of a class with more methods the page has none, of a function with more options `…`.
+MOST_METHODS, MOST_OPTIONS = 5, 1
 #: Fields of a setup that are tables of their own.
 TABLES = (
     *("uplink_video", "uplink_voice", "downlink_video", "downlink_voice", "uplink", "downlink"),
@@ -137,8 +136,9 @@ def python_page() -> str:
         # What the package itself exports is not told again with its modules.
         names = sorted({*exported(module)} - before, key=lambda name: (name.lower(), name))
         before.update(names)
-        parts.append(f"## `{package}`\n\n{module.docstring.value}\n")
-        parts.append("\n".join(entry(module[name]) for name in names) + "\n")
+        parts.append(f"## `{package}`\n\n{paragraph(module)}\n")
+        now = [module[name] for name in names if _is_current(module[name])]
+        parts.append("\n".join(map(entry, now)) + "\n")
     return "\n".join(parts)
 
 
@@ -146,13 +146,16 @@ def exported(module: griffe.Object | griffe.Alias) -> list[str]:
     return [str(name).strip("'\"") for name in module.exports or ()]
 
 
+def _is_current(member: griffe.Object | griffe.Alias) -> bool:
+    """Whether a name is not the former one of another."""
+    return not member.is_alias or bool(member.target.name == member.name)
+
+
 def entry(member: griffe.Object | griffe.Alias) -> str:
     """One exported name: how it is called, the first sentence of its docstring, its methods."""
     if member.is_attribute:
         value = " ".join(str(member.value).split()).replace("'", '"')
         return f"- `{member.name} = {value}`" if len(value) <= 60 else f"- `{member.name}`"
-    if member.is_alias and member.target.name != member.name:
-        return f"- `{member.name}`: the former name of `{member.target.name}`"
     if member.is_function:
         return f"- `{member.name}{names(member)}`: {sentence(member)}"
     public = {
@@ -173,10 +176,14 @@ def arguments(function: griffe.Object | griffe.Alias) -> str:
 def names(function: griffe.Object | griffe.Alias) -> str:
     """`(x, *, y=0) -> str`: without the types of parameters, and without `-> None`."""
     inner, _, result = arguments(function).rpartition(") -> ")
-    kept = []
+    kept, options = [], []
     for parameter in _split(inner.removeprefix("(")):
         before, _, default = parameter.partition(" = ")
         kept.append(before.partition(":")[0] + f"={default}" * bool(default))
+        options += kept[-1:] * bool(default)
+    if len(options) > MOST_OPTIONS:
+        kept = [one for one in kept if one not in options]
+        kept = [*kept[: -1 if kept[-1] == "*" else None], "…"]
     return f"({', '.join(kept)})" + f" -> {result}" * (result != "None")
 
 

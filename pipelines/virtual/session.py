@@ -277,7 +277,7 @@ class Simulation:
         ground, space = self._ground, self._space
         ground_slots, space_slots = self._slots_of
         ground_slot, space_slot = ground_slots.handle_slot, space_slots.handle_slot
-        publish_backlogs = self._publish_backlogs
+        publish_backlogs = None if self._media is None else self._publish_backlogs
         ways = () if self._network is None else tuple(self._network.ways.values())
         robot, joystick = self._robot, self._joystick
         to_robot, to_joystick = robot.handle_datagram, joystick.handle_datagram
@@ -300,7 +300,8 @@ class Simulation:
                 ground_slot((), slot_ns)
             if not (slot_ns - first_ns) % down_slot_ns:
                 space_slot((), slot_ns)
-            publish_backlogs(slot_ns)
+            if publish_backlogs is not None:
+                publish_backlogs(slot_ns)
             for way in ways:
                 way.handle_slot(slot_ns)
             now_ns = slot_ns + half_ns
@@ -439,8 +440,7 @@ class Simulation:
 
     def _publish_backlogs(self, now_ns: int) -> None:
         """The gateways' reports to the senders of video, as often as live ones send them."""
-        if self._media is None:
-            return
+        assert self._media is not None
         for slots, profile in zip(
             self._slots_of, (self.setup.uplink, self.setup.downlink), strict=True
         ):

@@ -76,7 +76,8 @@ class HeldJoystick(Joystick):
 
     def handle_feedback(self, feedback: Feedback | None) -> None:
         """Let the hand know whether the robot is heard, and waits for a press."""
-        self.drive = "" if feedback is None else feedback.drive
+        # Most samples are of a robot that the hand drives.
+        self.drive = "" if feedback is None else feedback.drive if feedback[7] else "hand"
         waiting = self.robot_waits = feedback is not None and feedback.waiting
         self.hand.handle_robot(feedback is not None, waiting, self.x_m, self.y_m)
         self.dead_man = self.hand.dead_man
@@ -281,8 +282,8 @@ class RobotSide(_Side):
         )
         self.axes: RobotAxes = RobotAxes(robot.more, self.controller.model, passive=passive)
         self.link: HapticLink[Feedback, Command] = link or robot_link()
-        assert isinstance(self.link.session, RobotSession)
-        self._session = self.link.session
+        assert isinstance(self.link.session, RobotSession) and self.link.probe is not None
+        self._session, self._probe = self.link.session, self.link.probe
         self._asking = self._session.asking
         self.lit: int | None = None
         super().__init__()
@@ -293,7 +294,7 @@ class RobotSide(_Side):
         # The force that a step measures belongs to the position before it.
         x_m, y_m = robot.x_m, robot.y_m
         self._now_ns = now_ns
-        envelope, estimator = self.envelope, self.estimator
+        envelope, estimator, probe = self.envelope, self.estimator, self._probe
         if self._session.restarts != self._restarts:
             self._restarts = self._session.restarts
             if envelope is not None:
@@ -303,9 +304,9 @@ class RobotSide(_Side):
             self._asking = self._session.asking
             estimator.publish_again()
         if envelope is not None:
-            envelope.command_age_ns = self.link.command_age_ns(now_ns)
+            envelope.command_age_ns = probe.age_ns(now_ns) if probe.answered else None
         direct = controller.passive and (estimator is None or estimator.told is None)
-        controller.trip_s = (self.link.round_trip_ns or 0) / NS_PER_S if direct else None
+        controller.trip_s = (probe.trip_ns or 0) / NS_PER_S if direct else None
         acted = self._advance(now_ns, advance_ns)
         contact = robot.contact or (bool(robot.more) and any(axis.contact for axis in robot.more))
         if self.ownership is not None:
@@ -350,7 +351,7 @@ class RobotSide(_Side):
         if self.estimator is None:
             return None
         if self._walls_from_ns:
-            trip_ns = self.link.round_trip_ns
+            trip_ns = self._probe.trip_ns
             if trip_ns is None or trip_ns < self._walls_from_ns:
                 self._longer_ns = now_ns
                 return None

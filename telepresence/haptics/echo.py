@@ -24,6 +24,7 @@ class EchoProbe:
     first answer it is `ANY_AGE_NS`.
 
     answered: the joystick returns probes; the caller sets it. None is sent before.
+    trip_ns: the newest round trip (ns), measured in the samples' own places; None before.
     """
 
     def __init__(self) -> None:
@@ -32,19 +33,14 @@ class EchoProbe:
         self._sent: dict[int, int] = {}
         self._number = 0
         self._due_ns = 0
-        self._trip_ns: int | None = None
-
-    @property
-    def trip_ns(self) -> int | None:
-        """The newest round trip (ns), measured in the samples' own places; None before."""
-        return self._trip_ns
+        self.trip_ns: int | None = None
 
     def handle_echo(self, echo: Echo, now_ns: int) -> None:
         """The joystick has returned a probe. An unknown number is ignored."""
         sent_ns = self._sent.get(echo.number)
         if sent_ns is None:
             return
-        self._trip_ns = now_ns - sent_ns
+        self.trip_ns = now_ns - sent_ns
         while self._sent.pop(next(iter(self._sent))) != sent_ns:
             # Lost, or overtaken.
             pass
@@ -61,10 +57,12 @@ class EchoProbe:
 
     def age_ns(self, now_ns: int) -> int:
         """Return how old (ns) the newest command is at most, since the hand."""
-        if self._trip_ns is None:
+        if self.trip_ns is None:
             return ANY_AGE_NS
-        waited_ns = now_ns - next(iter(self._sent.values()), now_ns)
-        return waited_ns if waited_ns > self._trip_ns + _EVERY_NS else self._trip_ns
+        if not self._sent:
+            return self.trip_ns
+        waited_ns = now_ns - next(iter(self._sent.values()))
+        return waited_ns if waited_ns > self.trip_ns + _EVERY_NS else self.trip_ns
 
 
 class EchoReturn:

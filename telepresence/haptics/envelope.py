@@ -317,7 +317,8 @@ class SafetyEnvelope:
                 # A press after a gap counts once its age is known.
                 self._released = True
             return False
-        self._handle_picture(blind or self.blind, now_ns)
+        if blind or self.blind or self._blind_ns is not None:
+            self._handle_picture(blind or self.blind, now_ns)
         if not pressed:
             self._released = True
             if self._cause is _NONE:

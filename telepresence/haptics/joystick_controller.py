@@ -16,7 +16,7 @@ lose its damping to pay for the force that still pushes it.
 """
 
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import hypot, inf, sqrt
 
 from kontur_av.clock import NS_PER_MS, NS_PER_S
 from telepresence.haptics.passivity import Port, PortController
@@ -120,8 +120,8 @@ class JoystickController(PortController):
         self._regaining = False
         self._vx = self._vy = 0.0
         self._silent_s = 0.0
-        #: Direction of the robot's newest force; (0, 0) without contact.
-        self._out = (0.0, 0.0)
+        #: The robot's newest sample; None without contact.
+        self._out: Feedback | None = None
         #: From 0 to 1: how much the robot has lacked credit of late.
         self._starved = 0.0
         self._margin_m = model.acceleration_m_s2 * _CYCLE_S * _CYCLE_S
@@ -154,7 +154,8 @@ class JoystickController(PortController):
         if self.passive:
             self._follow_credit(feedback, dt_s)
         gx, gy, change = self._approached(vx, vy, dt_s)
-        most = min(model.damping_rate_n_s * dt_s, self.most_rate_n_s * dt_s - change)
+        most, left = model.damping_rate_n_s * dt_s, self.most_rate_n_s * dt_s - change
+        most = left if left < most else most
         bx, by = self._damped(vx, vy, most)
         fx, fy = gx + bx, gy + by
         force = sqrt(fx * fx + fy * fy)
@@ -175,11 +176,8 @@ class JoystickController(PortController):
 
     def _note_press(self, feedback: Feedback) -> None:
         """Note how hard the robot presses, and whence."""
-        out_x, out_y = feedback[0], feedback[1]
-        presses_n = sqrt(out_x * out_x + out_y * out_y)
-        self._compare(presses_n, sqrt(self._gx * self._gx + self._gy * self._gy))
-        touches = feedback[3] and presses_n > 0.0
-        self._out = (out_x / presses_n, out_y / presses_n) if touches else (0.0, 0.0)
+        self._out = feedback if feedback[3] else None
+        self._compare(hypot(feedback[0], feedback[1]), hypot(self._gx, self._gy))
 
     def most_press_n(self, gives_n: float) -> float:
         """Return how hard the robot may press (N) while the motors give the hand `gives_n`."""
@@ -187,7 +185,8 @@ class JoystickController(PortController):
 
     def _compare(self, presses_n: float, gives_n: float) -> None:
         self.presses_n, self.gives_n = presses_n, gives_n
-        self.beyond_n = max(self.beyond_n, presses_n - gives_n)
+        if presses_n - gives_n > self.beyond_n:
+            self.beyond_n = presses_n - gives_n
 
     def _hear(self, feedback: Feedback | None, dt_ns: int) -> None:
         """Take the robot's grant and its force; without samples the force decays."""
@@ -211,8 +210,10 @@ class JoystickController(PortController):
         goal_x, goal_y = self._goal_x, self._goal_y
         if self.passive:
             goal, now = sqrt(goal_x * goal_x + goal_y * goal_y), sqrt(gx * gx + gy * gy)
-            outward = max(0.0, (gx * vx + gy * vy) / now) if now > 0.0 else 0.0
-            most = self._payable_n(min(self.port.credit_j, self.most_j) + _ROUNDING_J, outward)
+            outward = (gx * vx + gy * vy) / now if now > 0.0 else 0.0
+            credit_j, most_j = self.port.credit_j, self.most_j
+            credit_j = most_j if most_j < credit_j else credit_j
+            most = self._payable_n(credit_j + _ROUNDING_J, outward if outward > 0.0 else 0.0)
             if most < goal:
                 share, goal = most / goal, most
                 goal_x *= share
@@ -249,7 +250,7 @@ class JoystickController(PortController):
                 share = left_j / need_j if left_j > 0.0 else 0.0
                 bx, by, need_j = bx * share, by * share, need_j * share
             left_j -= need_j
-        left_j = min(left_j, self.most_j)
+        left_j = self.most_j if self.most_j < left_j else left_j
         need_j = gx * dx + gy * dy + sqrt(gx * gx + gy * gy) * margin
         if need_j > left_j:
             share = left_j / need_j if left_j > 0.0 else 0.0
@@ -295,17 +296,18 @@ class JoystickController(PortController):
             starved = 1.0 if feedback[6] else 0.0
             after_s = _STARVED_S if starved else model.starved_s
             self._starved += (starved - self._starved) * dt_s / (dt_s + after_s)
-            lack = min(1.0, max(1.0 - self.port.credit_j / model.reserve_j, self._starved))
+            lack, starved = 1.0 - self.port.credit_j / model.reserve_j, self._starved
+            lack = starved if starved > lack else 1.0 if lack > 1.0 else lack
         wanted = model.damping_n_s_m + (model.most_damping_n_s_m - model.damping_n_s_m) * lack
         self.damping_n_s_m += (wanted - self.damping_n_s_m) * dt_s / (dt_s + model.damping_s)
 
     def _damped(self, vx: float, vy: float, most: float) -> tuple[float, float]:
         """Return the damping force (N, N), which changes by `most` (N) at most."""
         model, damping, bx, by = self.model, self.damping_n_s_m, self._bx, self._by
-        least, most_damping = model.damping_n_s_m, model.most_damping_n_s_m
-        if damping > least and self._out[0] * vx + self._out[1] * vy < 0.0:
-            lack = (damping - least) / (most_damping - least)
-            damping += lack * (model.press_damping_n_s_m - most_damping)
+        least, out = model.damping_n_s_m, self._out
+        if out is not None and damping > least and out[0] * vx + out[1] * vy < 0.0:
+            lack = (damping - least) / (model.most_damping_n_s_m - least)
+            damping += lack * (model.press_damping_n_s_m - model.most_damping_n_s_m)
         change_x, change_y = -damping * vx - bx, -damping * vy - by
         change = sqrt(change_x * change_x + change_y * change_y)
         share = most / change if change > most else 1.0

@@ -102,7 +102,7 @@ class HapticLink(Generic[Out, In]):
     def __init__(
         self,
         pack: Callable[[int, Out, bool, int, int], bytes],
-        unpack: Callable[[bytes], tuple[int, int, int, In]],
+        unpack: Callable[[bytes, int], tuple[int, int, int, In]],
         session: JoystickSession | RobotSession,
         *,
         max_age_ns: int = MAX_AGE_NS,
@@ -117,9 +117,11 @@ class HapticLink(Generic[Out, In]):
         self.numbers = SampleWindow(self.counts)
         self.hearing = self.peer_holds = False
         self._pack: Callable[[int, Out, bool, int, int], bytes] = pack
-        self._unpack: Callable[[bytes], tuple[int, int, int, In]] = unpack
+        self._unpack: Callable[[bytes, int], tuple[int, int, int, In]] = unpack
         self._robot = isinstance(session, RobotSession)
-        self._echo = EchoProbe() if self._robot else EchoReturn()
+        #: A robot's probe of the age of its commands, and a joystick's answer.
+        self.probe = EchoProbe() if self._robot else None
+        self._echo = self.probe or EchoReturn()
         self.more = more
         self._totals = _Totals()
         #: Of the axes behind x and y.
@@ -142,21 +144,23 @@ class HapticLink(Generic[Out, In]):
 
     def handle_datagram(self, data: bytes, now_ns: int) -> None:
         """A datagram arrived. Garbage is counted; this never raises."""
-        axes, counts = self._axes, self.counts
+        axes, counts, totals = self._axes, self.counts, self._totals
         try:
             if axes:
                 data, more = split_axes(data, self.more, self._hears)
             if len(data) == SAMPLE_OCTETS and data[2] & FLAG_GREETING:
                 self._handle_greeting(data, now_ns)
                 return
-            number, sequence, flags, value = self._unpack(data)
+            number, sequence, flags, value = self._unpack(data, totals.heard_before_uj)
         except ProtocolError:
             counts.garbage += 1
             return
         session, numbers = self.session, self.numbers
-        if number != session.receiving and not self._begin(number, sequence, now_ns):
-            counts.strays += 1
-            return
+        if number != session.receiving:
+            if not self._begin(number, sequence, now_ns):
+                counts.strays += 1
+                return
+            *_, value = self._unpack(data, totals.heard_before_uj)
         session.strays = 0
         if not numbers.takes(sequence, now_ns):
             return
@@ -165,16 +169,13 @@ class HapticLink(Generic[Out, In]):
         if holds:
             self._handle_holding(now_ns)
         self.peer_holds = holds
-        totals = self._totals
-        heard_uj = totals.heard_before_uj + value[2]
-        if heard_uj > totals.heard_uj:
-            totals.heard_uj = heard_uj
-        rest = value[3:]
+        if value[2] > totals.heard_uj:
+            totals.heard_uj = value[2]
         if axes:
             taken = zip(axes, more, strict=True)
             mores = tuple([(one[0], each.take_uj(one[1]), one[2]) for each, one in taken])
-            rest = (*rest[:-1], mores)
-        self._newest = _tuple(type(value), (value[0], value[1], heard_uj, *rest))
+            value = _tuple(type(value), (*value[:-1], mores))
+        self._newest = value
         stamps = self._received_stamps
         stamps.append(sequence)
         stamps.append(now_ns)
@@ -224,8 +225,7 @@ class HapticLink(Generic[Out, In]):
             if local is None:
                 return None
         totals.granted_uj = local.energy_uj
-        sequence = self.sent % SEQUENCE_MODULUS
-        data = self._pack(sequence, local, holding, self._sending, totals.granted_before_uj)
+        data = self._pack(self.sent, local, holding, self._sending, totals.granted_before_uj)
         if axes:
             for each, (_, granted_uj, _) in zip(axes, local[-1], strict=True):
                 each.granted_uj = granted_uj
@@ -233,19 +233,6 @@ class HapticLink(Generic[Out, In]):
         self.sent += 1
         self._sent_ns.append(now_ns)
         return data
-
-    def command_age_ns(self, now_ns: int) -> int | None:
-        """Of a robot: how old the newest command is at most, since the hand.
-
-        None: the joystick returns no echoes.
-        """
-        echo = self._echo
-        return echo.age_ns(now_ns) if isinstance(echo, EchoProbe) and echo.answered else None
-
-    @property
-    def round_trip_ns(self) -> int | None:
-        """Of a robot: the newest round trip of an echo (ns); None before the first."""
-        return self._echo.trip_ns if isinstance(self._echo, EchoProbe) else None
 
     @property
     def told_age_ms(self) -> int | None:
@@ -292,13 +279,14 @@ class HapticLink(Generic[Out, In]):
             return
         session.handle_greeting(read_greeting(data, feedback=feedback))
         self.counts.greetings += 1
-        if isinstance(self._echo, EchoProbe):
-            self._echo.answered = data[2] & FLAG_ECHOES != 0
+        if self.probe is not None:
+            self.probe.answered = data[2] & FLAG_ECHOES != 0
 
     def _poll_greeting(self, now_ns: int, holding: bool) -> bytes | None:
         """Return what goes in the place of a sample, or None."""
         session, totals, axes = self.session, self._totals, self._axes
-        most_uj = totals.most_uj()
+        # The joystick watches them for both ends.
+        most_uj = 0 if self._robot else totals.most_uj()
         if axes:
             # Their records have a bit less.
             most_uj = max(most_uj, *(2 * each.most_uj() for each in axes))

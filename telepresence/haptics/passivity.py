@@ -21,6 +21,7 @@ _NS_PER_S = 1e9
 #: A token bucket bounds how fast totals may grow: it fills with this power (W), and holds
 #: what flows in this time (s), because a path may compress time.
 _PEER_POWER_W, _BUCKET_S = 60.0, 0.1
+_BUCKET_J = _PEER_POWER_W * _BUCKET_S
 
 
 class Port:
@@ -57,7 +58,7 @@ class Port:
         self._counted_uj: int | None = None
         self._total_uj: int | None = None
         #: What the token bucket holds. While no total is accepted, it fills beyond its depth.
-        self._bucket_j = _PEER_POWER_W * _BUCKET_S
+        self._bucket_j = _BUCKET_J
 
     @classmethod
     def observing(cls) -> "Port":
@@ -106,7 +107,8 @@ class Port:
                 self.refused += 1
             return
         self._counted_uj = self._total_uj = total_uj
-        self._bucket_j = min(self._bucket_j - gained_j, _PEER_POWER_W * _BUCKET_S)
+        left_j = self._bucket_j - gained_j
+        self._bucket_j = left_j if left_j < _BUCKET_J else _BUCKET_J
         if gained_j == 0.0:
             return
         self.received_j += gained_j

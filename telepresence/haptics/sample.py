@@ -81,7 +81,7 @@ class Command(NamedTuple):
 
     x_m, y_m: position of the handle (m).
     energy_uj: energy that the joystick's port has granted so far (µJ), an integer >= 0. As read
-    from a sample: in the sample's session. From `HapticLink.latest`: in all sessions heard.
+    from a sample: in its session, and `base_uj`. From `HapticLink.latest`: in all sessions heard.
     dead_man: the dead-man button is pressed.
     state: one of STATE_..., 0 to 7.
     buttons: 4 bits.
@@ -273,9 +273,10 @@ def pack_echo(echo: Echo, session: int, *, feedback: bool, holding: bool) -> byt
     return _GREETING.pack(0, session, flags, _ECHO, *echo)
 
 
-def read_command(data: bytes) -> tuple[int, int, int, Command]:
+def read_command(data: bytes, base_uj: int = 0) -> tuple[int, int, int, Command]:
     """Return session number, sequence number, flags octet and command.
 
+    base_uj: what was heard of its energy before this session.
     ProtocolError unless `data` is exactly one command sample. Plain, for the loop at 1 kHz.
     """
     if len(data) != SAMPLE_OCTETS:
@@ -291,7 +292,7 @@ def read_command(data: bytes) -> tuple[int, int, int, Command]:
     value = (
         x * POSITION_M,
         y * POSITION_M,
-        energy & MOST_ENERGY_UJ,
+        (energy & MOST_ENERGY_UJ) + base_uj,
         flags & FLAG_DEAD_MAN != 0,
         octet & 7,
         octet >> 4,
@@ -304,7 +305,7 @@ def read_command(data: bytes) -> tuple[int, int, int, Command]:
     return session, sequence, flags, _tuple(Command, value)
 
 
-def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
+def read_feedback(data: bytes, base_uj: int = 0) -> tuple[int, int, int, Feedback]:
     """As `read_command`, of one feedback sample."""
     if len(data) != SAMPLE_OCTETS:
         raise ProtocolError(f"haptic sample: {len(data)} octets instead of {SAMPLE_OCTETS}")
@@ -319,7 +320,7 @@ def read_feedback(data: bytes) -> tuple[int, int, int, Feedback]:
     value = (
         fx * FORCE_N,
         fy * FORCE_N,
-        energy & MOST_ENERGY_UJ,
+        (energy & MOST_ENERGY_UJ) + base_uj,
         flags & FLAG_CONTACT != 0,
         octet & 3,
         (octet >> 4) - 1 if octet > 15 else None,

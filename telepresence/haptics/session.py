@@ -195,17 +195,17 @@ class RobotSession:
                 self._wait -= 1
                 return None
             if answer is None:
-                return self._publish_partner()
+                return None if self.partner is None else self._publish_partner()
             self._wait = _ANSWER_EVERY - 1
         self._answer = None
         return (answer or Greeting(0, self._boot_id))._replace(partner=self.partner is True)
 
     def _publish_partner(self) -> Greeting | None:
         self._untold += 1
-        if self.partner is None or self._untold < _PUBLISH_EVERY:
+        if self._untold < _PUBLISH_EVERY:
             return None
         self._untold = 0
-        return Greeting(self.sending, self._boot_id, partner=self.partner)
+        return Greeting(self.sending, self._boot_id, partner=self.partner is True)
 
     def _new_session(self, greeting: Greeting) -> int:
         """Return a session number that no sample under way should have."""

@@ -100,7 +100,7 @@ class OperatedHandle:
             self.operation.handle_heard(now_ns)
         lit, self.robot_waits, self.robot_stopped = feedback[5], feedback[8], feedback[9]
         self.frozen = feedback[10]
-        self.drive = feedback.drive
+        self.drive = feedback.drive if feedback[7] else "hand"
         self._leds = 0 if lit is None else 1 << lit
 
     def handle_command(self, event: JoystickEvent, *by: str) -> str:

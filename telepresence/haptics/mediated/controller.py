@@ -311,7 +311,7 @@ class MediatedController(JoystickController):
     def _render(self) -> None:
         """From now on walls are rendered."""
         self._rendering, self.model, self.spared_j = True, self._model, 0.002 + _START_J
-        self._out = (0.0, 0.0)
+        self._out = None
         if self.passive:
             self.port.kept_j += _START_J
             self.port.credit_j += _START_J
