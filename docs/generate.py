@@ -70,7 +70,7 @@ with ka.StreamReceiver(port=5004) as stream:
 print(stream.ended)
 ```
 
-Send a file, `v4l2:/dev/video0` or `rtsp://…`: what `kontur-av send` does, and returns its report.
+Send a file, `v4l2:/dev/video0` or `rtsp://…`, as `kontur-av send` does.
 
 ```python
 report = ka.send("clip.mp4", "localhost:5004", cap_bps=250_000, seconds=2)
@@ -107,14 +107,13 @@ with ka.SoundSender("localhost:5006", cap_bps=64_000) as end:
 
 ## Reference
 
-Import these names from the modules that stand above them. All else is the project's own and may
-change. Instants are integer nanoseconds of one clock, most often a `MonotonicClock`.
-
-Classes are bold; of small ones the methods stand behind. Types, units, shapes and errors are in the
-docstrings: `python -c "import kontur_av; help(kontur_av.PictureSender)"`.
+Import these names from the modules that stand above them; all else may change. Instants are
+integer nanoseconds of one clock, most often a `MonotonicClock`. Classes are bold, with the methods
+of small ones. Types, units, shapes, errors and what `…` stands for are in the docstrings:
+`python -c "import kontur_av; help(kontur_av.send)"`.
 """
-#: Of a class with more methods the page has none.
-MOST_METHODS = 5
+#: Of a class with more methods the page has none, of a function with more options `…`.
+MOST_METHODS, MOST_OPTIONS = 5, 1
 #: Fields of a setup that are tables of their own.
 TABLES = (
     *("uplink_video", "uplink_voice", "downlink_video", "downlink_voice", "uplink", "downlink"),
@@ -127,15 +126,19 @@ def python_page() -> str:
     """docs/python.md: every exported name with its signature and what it is for."""
     parts = [HEAD]
     before: set[str] = set()
+    # One for all: each would read its whole package again.
+    loader = griffe.GriffeLoader(search_paths=[ROOT])
+    for package in dict.fromkeys(name.partition(".")[0] for name in PACKAGES):
+        loader.load(package, try_relative_path=False)
+    loader.resolve_aliases()
     for package in PACKAGES:
-        module = griffe.load(
-            package, search_paths=[ROOT], resolve_aliases=True, try_relative_path=False
-        )
+        module = loader.modules_collection[package]
         # What the package itself exports is not told again with its modules.
         names = sorted({*exported(module)} - before, key=lambda name: (name.lower(), name))
         before.update(names)
-        parts.append(f"## `{package}`\n\n{module.docstring.value}\n")
-        parts.append("\n".join(entry(module[name]) for name in names) + "\n")
+        parts.append(f"## `{package}`\n\n{paragraph(module)}\n")
+        now = [module[name] for name in names if _is_current(module[name])]
+        parts.append("\n".join(map(entry, now)) + "\n")
     return "\n".join(parts)
 
 
@@ -143,13 +146,16 @@ def exported(module: griffe.Object | griffe.Alias) -> list[str]:
     return [str(name).strip("'\"") for name in module.exports or ()]
 
 
+def _is_current(member: griffe.Object | griffe.Alias) -> bool:
+    """Whether a name is not the former one of another."""
+    return not member.is_alias or bool(member.target.name == member.name)
+
+
 def entry(member: griffe.Object | griffe.Alias) -> str:
     """One exported name: how it is called, the first sentence of its docstring, its methods."""
     if member.is_attribute:
         value = " ".join(str(member.value).split()).replace("'", '"')
         return f"- `{member.name} = {value}`" if len(value) <= 60 else f"- `{member.name}`"
-    if member.is_alias and member.target.name != member.name:
-        return f"- `{member.name}`: the former name of `{member.target.name}`"
     if member.is_function:
         return f"- `{member.name}{names(member)}`: {sentence(member)}"
     public = {
@@ -170,10 +176,14 @@ def arguments(function: griffe.Object | griffe.Alias) -> str:
 def names(function: griffe.Object | griffe.Alias) -> str:
     """`(x, *, y=0) -> str`: without the types of parameters, and without `-> None`."""
     inner, _, result = arguments(function).rpartition(") -> ")
-    kept = []
+    kept, options = [], []
     for parameter in _split(inner.removeprefix("(")):
         before, _, default = parameter.partition(" = ")
         kept.append(before.partition(":")[0] + f"={default}" * bool(default))
+        options += kept[-1:] * bool(default)
+    if len(options) > MOST_OPTIONS:
+        kept = [one for one in kept if one not in options]
+        kept = [*kept[: -1 if kept[-1] == "*" else None], "…"]
     return f"({', '.join(kept)})" + f" -> {result}" * (result != "None")
 
 
@@ -243,23 +253,28 @@ def commands_text() -> str:
     commands = [
         (name.removeprefix("kontur-av "), parser)
         for name, parser in _commands(make_parser(), "kontur-av")
-        if not name.startswith("kontur-av bench ")
+        if not name.startswith("kontur-av bench")
     ]
     rows = {name: _rows(parser) for name, parser in commands}
     shared = _shared({name: name.split()[0] for name in rows}, rows)
     parts = ["## Options of several commands\n"]
     parts += [f"- {option}: {told}" for option, told in shared]
     below: list[tuple[str, str]] = []
+    words = [name.split()[0] for name in rows]
+    several = {word for word in words if words.count(word) > 2}
     for name, parser in commands:
         told = _sentence(parser.description)
         own = _own(rows[name], shared)
-        if " " in name:
+        if name.split()[0] in several and " " in name:
             own = [row for row in own if row not in below]
             parts.append(f"- `{name}`: {told} {'; '.join(map(_told, own))}".rstrip())
             continue
         inner = {of: of for of in rows if of.startswith(f"{name} ")}
+        if len(inner) == 1:
+            # Told at its only subcommand.
+            continue
         below = [row for row in _shared(inner, rows) if row not in shared]
-        parts.append(f"\n## `kontur-av {name}`\n\n{told}")
+        parts.append(f"\n## `{name}`\n\n{told}")
         parts += [""] * bool(own or inner)
         parts += [f"- {_told(row)}" for row in own]
         parts += ["- of several: " + "; ".join(map(_told, below))] * bool(below)
@@ -315,7 +330,7 @@ def _rows(parser: argparse.ArgumentParser) -> list[tuple[str, str]]:
     """Each option with its value, and what it means."""
     rows = []
     for action in parser._actions:
-        hidden = "-h" in action.option_strings or action.help == argparse.SUPPRESS
+        hidden = action.dest.startswith("help") or action.help == argparse.SUPPRESS
         if hidden or isinstance(action, argparse._SubParsersAction):
             continue
         value = action.metavar or ("|".join(map(str, action.choices)) if action.choices else "")
@@ -403,11 +418,12 @@ def joined(table: tables.Table) -> tables.Table:
 
 
 def recorded_channels(session: Topology) -> tables.Table:
-    """All channels that a recording of a session can have."""
+    """All channels that a recording of a session can have; their names say which way."""
     rows = channels_of(session, link_frames=True)
+    way = re.compile(r" (as (sent|received)|from this end for this end).*")
     return tables.Table(
         headings=("channel", "schema", "a message"),
-        rows=[(f"`{row.topic}`", row.schema.full_name, row.what) for row in rows],
+        rows=[(f"`{row.topic}`", row.schema.full_name, way.sub("", row.what)) for row in rows],
     )
 
 
@@ -427,12 +443,14 @@ def setup_fields() -> str:
     parts = []
     for name, (kind, in_file) in tables_of.items():
         said = _said_of_fields(kind)
-        lines = [f"**`{name}`**\n"] if name else []
+        heads: dict[str, list[str]] = {}
         for field in dataclasses.fields(in_file):
             own = {"size": "width"}.get(field.name, field.name.replace("_kbps", "_bps"))
             if name or own not in TABLES:
                 what = re.sub(r"\(?docs/(([\w-]+)\.md[#\w-]*)\)?", r"([\2](\1))", said[own])
-                lines.append(f"- `{field.name}`{_default(field, kind, own)}: {what}")
+                heads.setdefault(what, []).append(f"`{field.name}`{_default(field, kind, own)}")
+        lines = [f"**`{name}`**\n"] if name else []
+        lines += [f"- {', '.join(fields)}: {what}" for what, fields in heads.items()]
         parts.append("\n".join(lines) + "\n")
     return "\n".join(parts)
 
@@ -456,7 +474,7 @@ def _default(field: dataclasses.Field[Any], kind: Any, own: str) -> str:
         choices = sorted(get_args(hint), key=lambda one: one != default)
         return " = " + ", ".join(f'`"{one}"`' for one in choices)
     if default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-        return " (must be given)" * (own != "name")
+        return " (required)" * (own != "name")
     return "" if default in (dataclasses.MISSING, None) else f" = `{json.dumps(default)}`"
 
 

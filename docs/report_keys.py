@@ -28,7 +28,6 @@ from pipelines.recording.recorder_metrics import FoxgloveMetrics, RecorderMetric
 from pipelines.report.model import (
     ProcessReport,
     SessionReport,
-    StreamLatency,
     StreamReport,
     keys_of,
 )
@@ -104,27 +103,40 @@ TOLD: tuple[type, ...] = (
 EXPLAINED: tuple[type, ...] = (
     SessionReport,
     StreamReport,
-    StreamLatency,
     ProcessReport,
 )
+#: Keys of percentiles, and of events, which the page has once.
+PERCENTILES = ("p50", "p95", "p99", "max", "p99.9")
+SMALL = (*PERCENTILES, "mean", "count", "at_ns", "what")
 
 
 def report_keys() -> str:
-    """The keys of a session's report, by their place in it."""
+    """The keys of a session's report, by their place in it.
+
+    A record with SMALL keys alone has its sentence, if its place does not say as much.
+    """
     said: set[tuple[str, str]] = set()
-    placed = {place.partition(".")[0] for place in _places(SessionReport).values()}
+    placed = {
+        place.partition(".")[0].removesuffix("[]") for place in _places(SessionReport).values()
+    }
+    placed.discard("exercises")
     parts = []
     for kind, place in _places(SessionReport).items():
         title = f"**`{place}`**: {_summary(kind)}" if place else f"{_summary(kind)}"
-        if place.startswith("trace."):
+        if place.partition(".")[0] == "trace":
             # Of `report join` alone.
             continue
         if kind in EXPLAINED:
             # What has a place of its own is explained there.
             without = placed if kind is SessionReport else set()
             parts.append("\n".join([title + "\n", *_explained(kind, said, without)]))
-        elif names := [f"`{key}`" for key, _, _ in _rows(kind)]:
+        elif not {key for key, _, _ in _rows(kind)} <= {*SMALL}:
+            names = [f"`{key}`" for key, _, _ in _rows(kind) if key not in PERCENTILES]
             parts.append(f"{title} {', '.join(names)}")
+        elif not _summary(kind).startswith(("Percentiles", "Something")):
+            parts.append(title)
+    small = ", ".join(f"`{key}`" for key in SMALL)
+    parts.append(f"Of percentiles and events, where they have them: {small}")
     return "\n\n".join(parts) + "\n"
 
 

@@ -30,7 +30,7 @@ FIRST = ("emergency stop", "hold the", "with Space: move", "with these", "let go
 
 
 def keys_table() -> str:
-    """Every key of the pages, what it does, and where."""
+    """Every key of the pages and what it does, those of the same pages together."""
     found: dict[tuple[str, str], list[str]] = {}
     for page in SEATS:
         chooses = " chooses" in (PAGES / f"{page}.html").read_text(encoding="utf-8")
@@ -40,11 +40,11 @@ def keys_table() -> str:
             for row in _shortcuts(module):
                 found.setdefault(row, []).append(f"`/{page}`")
     rows = sorted(found.items(), key=lambda item: _place(item[0][1]))
-    lines = ["| key | what | page |", "| --- | --- | --- |"]
+    lists: dict[str, list[str]] = {}
     for (keys, what), pages in rows:
-        where = "all" if len(pages) == len(SEATS) else ", ".join(pages)
-        lines.append(f"| {keys} | {what} | {where} |")
-    return "\n".join(lines) + "\n"
+        where = "all pages" if len(pages) == len(SEATS) else ", ".join(pages)
+        lists.setdefault(where, []).append(f"- **{keys}**: {what}")
+    return "\n\n".join(f"On {w}:\n\n" + "\n".join(one) for w, one in lists.items()) + "\n"
 
 
 def _place(what: str) -> int:
@@ -87,7 +87,7 @@ def holds_table() -> str:
     )
     path = ROOT / "telepresence" / "haptics" / "envelope.py"
     source = path.read_text(encoding="utf-8").splitlines()
-    lines = ["| the page says | do |", "| --- | --- |"]
+    lines = []
     for member in module["Hold"].attributes.values():
         value = str(member.value).strip("'\"")
         if not value:
@@ -97,7 +97,7 @@ def holds_table() -> str:
         while source[at].lstrip().startswith("#: "):
             comment.insert(0, source[at].strip().removeprefix("#: "))
             at -= 1
-        lines.append(f"| {value} | {' '.join(comment)} |")
+        lines.append(f"- *{value}*: {' '.join(comment)}")
     return "\n".join(lines) + "\n"
 
 

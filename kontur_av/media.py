@@ -65,7 +65,7 @@ class Quality(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class CaptureStamp:
-    """When and where a picture or a block of sound was captured, and whether it shows a loss.
+    """When and where a picture or sound was captured, and whether it shows a loss.
 
     capture_ns: the instant of capture on the session's clock; of sound, that of its first sample.
     sequence: counts the captures of one source from 0 without a gap. Behind a receiver it counts

@@ -23,19 +23,13 @@ _DEFAULT_FOLDER = Path("measurements")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `python -m benchmarks all`."""
     length = parser.add_mutually_exclusive_group()
-    length.add_argument(
-        "--quick", dest="length", action="store_const", const="quick", help="15 minutes (default)"
-    )
-    length.add_argument(
-        "--full", dest="length", action="store_const", const="full", help="many hours"
-    )
-    length.add_argument(
-        "--smoke",
-        dest="length",
-        action="store_const",
-        const="smoke",
-        help="minutes; only to see that everything runs: the figures mean nothing",
-    )
+    lengths = {
+        "quick": "15 minutes (default)",
+        "full": "many hours",
+        "smoke": "minutes; only to see that everything runs: the figures mean nothing",
+    }
+    for word, text in lengths.items():
+        length.add_argument(f"--{word}", dest="length", action="store_const", const=word, help=text)
     parser.set_defaults(length="quick")
     parser.add_argument("--only", metavar="NAME,...", help="these benches only")
     parser.add_argument(

@@ -66,13 +66,18 @@ def _table(group: str, found: Sequence[Headline]) -> list[str]:
     heads = [group or "figure", *(who or "median" for who in columns)]
     if judged:
         heads.append("target" if judged == columns else f"target ({', '.join(judged)})")
-    lines = [_line(heads), "|---" + "|--:" * len(columns) + "|---" * bool(judged) + "|"]
+    rows = []
     for what, unit in dict.fromkeys((one.what, one.unit) for one in found):
         row = [one for one in found if (one.what, one.unit) == (what, unit)]
         cells = [_cell([one.value for one in row if one.who == who]) for who in columns]
         named = f"{what}, {unit}" if unit else what
-        lines.append(_line([named, *cells, *[_verdict(row)] * bool(judged)]))
-    return lines
+        rows.append([named, *cells, *[_verdict(row)] * bool(judged)])
+    if len(columns) == 1:
+        head = ", ".join(filter(None, (group, *columns)))
+        lines = [f"{name}: {'; target '.join(filter(None, cells))}" for name, *cells in rows]
+        return [*[f"{_safe(head)}:", ""] * bool(head), *(f"- {_safe(line)}" for line in lines)]
+    rule = "|---" + "|--:" * len(columns) + "|---" * bool(judged) + "|"
+    return [_line(heads), rule, *map(_line, rows)]
 
 
 def _line(cells: Sequence[str]) -> str:

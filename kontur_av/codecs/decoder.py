@@ -95,8 +95,7 @@ class DecoderCounts:
     frames_corrupt: int = 0
     #: Access units before the first at which a decoder can start.
     frames_before_start: int = 0
-    #: SPS that were malformed, or of pictures that would take too much memory. What follows is left
-    #: out until a good one comes.
+    #: SPS that were malformed, or of too large pictures; the next good one is waited for.
     sets_refused: int = 0
     #: Times that the decoder held pictures back and was reopened.
     decoder_restarts: int = 0

@@ -41,7 +41,7 @@ class VideoReceiverCounts:
     frames_damaged: int = 0
     #: Damaged pictures after a pause, not shown before a whole one.
     frames_withheld: int = 0
-    #: Leading pictures (RASL) of HEVC without the pictures to which they refer. Not decoded.
+    #: Leading pictures (RASL) of HEVC, not decoded for lack of references.
     frames_without_references: int = 0
     #: Pictures before a sender report gave their capture time.
     frames_undated: int = 0

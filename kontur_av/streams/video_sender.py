@@ -52,7 +52,7 @@ class FeedbackCounts:
     feedback_received: int = 0
     #: Datagrams that are not feedback.
     feedback_garbage: int = 0
-    #: Losses that were mended without a key picture: the next picture referred to whole ones.
+    #: Losses mended without a key picture: the next picture referred to whole ones.
     losses_healed: int = 0
 
 

@@ -18,13 +18,13 @@ _DIRECTORY = "directory DIR <Path>  has the storages"
 _FOLDER = "folder FOLDER <Path>  has the file `run`"
 _BOOT = (
     f"--boot <{'|'.join(device.value for device in BootDevice)}={BootDevice.SD.value}>  where the "
-    "kernel came from; with flash the two FTP folders are the pair"
+    "kernel came from; flash: the pair is on FTP"
 )
 #: By action: what it does, and its options.
 _ACTIONS = {
     "run": (
-        "start the desired copy, watch it, and take another one if it fails",
-        *(_DIRECTORY, _BOOT, "--ftp URL  with flash: fetch folders 1 and 2 from this server"),
+        "run the desired copy, or another one if it fails",
+        *(_DIRECTORY, _BOOT, "--ftp URL  with flash: fetch folders 1 and 2 there"),
         *("arguments ARGUMENT <...>  after --: of run", "--inbox"),
     ),
     "list": ("verify all copies, and print the desired mode", _DIRECTORY),
@@ -35,11 +35,11 @@ _ACTIONS = {
         *("write a copy as it was at delivery", _DIRECTORY),
         *(f"copy <{'|'.join(copy.value for copy in Copy)}>  the storage", _FOLDER),
     ),
-    "sfv": ("write the list of checksums of a folder; cksfv reads it, too", _FOLDER),
+    "sfv": ("write the checksums of a folder, as cksfv reads them", _FOLDER),
     "serve": (
-        *("an FTP server for the copies of one storage", _DIRECTORY, "--storage <sd|ftp=sd>"),
-        f"--listen HOST:PORT <={LOOPBACK}:{_PORT}>  default: {LOOPBACK}:{_PORT}; FTP has no "
-        "protection of its own",
+        *("serve the copies of one storage by FTP", _DIRECTORY, "--storage <sd|ftp=sd>"),
+        f"--listen HOST:PORT <={LOOPBACK}:{_PORT}>  default: {LOOPBACK}:{_PORT}; FTP is not "
+        "protected",
     ),
 }
 

@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "archive FILE.sqlite <Path>  made if need be",
         "action <add|list|events|trend>  add: keep reports; list: the sessions; events: how often "
         "each came; trend: a figure over all sessions",
-        "what REPORT.json or KEY <...>  of add: reports of sessions; of trend: keys of "
-        "docs/report.md, such as streams.uplink_video.frames_displayed, * for any letters",
+        "what REPORT.json or KEY <...>  of add: reports; of trend: keys of docs/report.md, such "
+        "as streams.*.frames_displayed",
         "--plot FILE.png <Path>  draw the trend, too",
     )
 

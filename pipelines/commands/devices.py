@@ -10,8 +10,8 @@ from pipelines.media.input_devices import microphones
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "List cameras (V4L2), microphones (ALSA) and built-in scenes, each as "
-        "`kontur-av stream --source NAME=SPEC` takes it."
+        "List cameras (V4L2), microphones (ALSA) and built-in scenes, as `stream --source` takes "
+        "them."
     )
 
 

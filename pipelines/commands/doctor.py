@@ -8,8 +8,8 @@ from pipelines.session.machine_checks import CHECKS, Check, checked
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Try what a session needs. One line a check: ok; missing (a session cannot run); advice "
-        "(something is left to gain). Exit code 1 if anything is missing."
+        "Try what a session needs. One line a check: ok; missing, so that no session can run "
+        "(exit code 1); or advice."
     )
 
 

@@ -35,8 +35,7 @@ _ARMS = {"joystick": '"shared" or "second"', "robot": '"board"'}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
-        f"--device SPEC <={SIMULATED}>  sim, evdev, evdev:/dev/input/eventN or "
-        "udp:HOST:PORT[:KEYFILE] (default: sim)",
+        f"--device SPEC <={SIMULATED}>  as of `stream --joystick`; no page, no ros2 (default: sim)",
         SETUP_ROW,
     )
     add_way_arguments(parser)
@@ -46,7 +45,7 @@ def add_way_arguments(parser: argparse.ArgumentParser) -> None:
     """The options that say where the session is, and for how long."""
     add_options(
         parser,
-        f"--base-port P <port={Setup.base_port}>  of this user's session",
+        f"--base-port P <port={Setup.base_port}>  first of the 40 UDP ports",
         "--rtc URL  a session across the Internet: what `stream --rtc` prints, up to the port",
         "--token",
         "--token-file",

@@ -26,15 +26,14 @@ _STEP = 500
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
-        "file FILE.mcap <Path>  a recording; its parts FILE-2.mcap, FILE-3.mcap, … are joined to "
-        "it",
+        "file FILE.mcap <Path>  a recording; FILE-2.mcap, FILE-3.mcap, … are joined to it",
         "--mat OUT.mat <Path>  tables for MATLAB and Octave",
-        "--mat73  MATLAB v7.3, also where the older format would do",
+        "--mat73  always as MATLAB v7.3",
         "--mkv DIR <Path>  a Matroska file for each camera and stream",
         "--csv DIR <Path>  a CSV file for each channel",
         "--lerobot DIR <Path>  a LeRobot data set, for learning by imitation",
         "--fps N <int>  rows a second of --lerobot (default: as its pictures)",
-        "--overwrite  replace files that exist",
+        "--overwrite",
     )
 
 

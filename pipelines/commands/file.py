@@ -29,23 +29,23 @@ _SILENT_S = 30.0
 _LACKS = "without files, or without that end: start it with --files DIR"
 _AS = "second AS <?>  default: the same name"
 _HELP = {
-    "put": ("send a file of this end's directory to the other end", "first NAME", _AS),
-    "get": ("fetch a file of the other end into this end's directory", "first NAME", _AS),
+    "put": ("send a file to the other end", "first NAME", _AS),
+    "get": ("fetch a file of the other end", "first NAME", _AS),
     "list": ("list the other end's directory, or one in it", "first NAME <?>"),
     "rename": ("rename a file at the other end", "first NAME", "second NEW"),
     "remove": ("remove a file at the other end", "first NAME"),
-    STATUS: ("list the transfers under way that were asked for here",),
+    STATUS: ("list the transfers that were asked for here",),
     CANCEL: ("give up a transfer, at both ends", "number NUMBER <int>  as of status"),
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     for action in add_actions(parser, _HELP).values():
-        row = "--from <ground|space>  the end that asks (default: the ground, if it runs here)"
+        row = "--from <ground|space>  the end that asks (default: the ground, if here)"
         add_options(action, row, "--session")
     parser.description = (
-        "Files go both ways beside the media, in the directories of `kontur-av stream --files`. A "
-        "loss of signal suspends them, Ctrl-C cancels. Exit code 1 if a transfer fails."
+        "Move files between the directories of `kontur-av stream --files`. A loss of signal "
+        "suspends a transfer, Ctrl-C cancels it."
     )
 
 

@@ -26,18 +26,18 @@ _ALL = "all"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """`list`, `check`, `test` and `drive`, with their options."""
     check = (
-        "do with a joystick what a session will do, and say what it does wrong; IT MOVES",
+        "do what a session will do, and say what the joystick does wrong; IT MOVES",
         *("joystick SPEC  as of `stream --joystick`", SETUP_ROW, "--joystick-map"),
     )
     test = (
-        "calibrate a joystick and do its functional checks, each against its limits",
+        "calibrate, and do functional checks, each against its limits",
         f"check <{'|'.join([*CHECKS, _ALL])}?={_ALL}>",
-        "--device SPEC <=sim>  sim, sim:FAULT, evdev, evdev:/dev/input/eventN, "
-        "udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
+        "--device SPEC <=sim>  as of `stream --joystick`, or sim:FAULT; no page, no ros2 (default: "
+        "sim)",
         *("--joystick-map", "--report"),
     )
     actions = {
-        "list": ("list the joysticks here, as --device and `stream --joystick` name them",),
+        "list": ("list the joysticks here, by SPEC",),
         "check": check,
         "test": test,
         "drive": ("drive the robot, or the arm, that a session's setup gives a partner",),

@@ -17,9 +17,9 @@ from telepresence.link.protection.identity import MachineIdentity
 #: By action: what it does.
 _ACTIONS = {
     "new": "make this machine's key",
-    "show": "print this machine's identity: one line, which may be read over the telephone",
-    "trust": "trust the machine with this identity",
-    "list": "print the identities that are trusted",
+    "show": "print this machine's identity, a line",
+    "trust": "trust an identity",
+    "list": "print the trusted identities",
     "forget": "trust an identity no more",
 }
 

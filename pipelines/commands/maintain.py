@@ -35,16 +35,15 @@ _KEYS = "Enter: run it, e: change it, s: skip it, q: end"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
-        "script SCRIPT <Path>  one command of kontur-av a line, without the word kontur-av; also "
-        "wait SECONDS, wait contact, say TEXT, and milestone TEXT",
+        "script SCRIPT <Path>  a command of kontur-av a line, without that word; also wait "
+        "SECONDS, wait contact, say TEXT, milestone TEXT",
         "--yes  confirm all; end at a failure",
         "--log FILE <Path>  append what was sent and received, as JSON lines (default SCRIPT.log)",
         "--session",
     )
     parser.description = (
-        "Run the commands of a script one by one. Each may be changed, and must be confirmed. "
-        "While an experiment of the session runs, none is run. Exit code 1 if the script did not "
-        "come to its end."
+        "Run the commands of a script one by one; each may be changed, and must be confirmed. "
+        "None is run during an experiment."
     )
 
 

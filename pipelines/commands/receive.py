@@ -35,10 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--to URL  hand the stream on as it comes: MPEG-TS to udp://HOST:PORT, or rtsp://HOST/NAME",
         "--raw",
         "--play WHERE <?=default>  the sound: default, alsa:DEVICE or pulse:SINK",
-        "--size WxH  of the pictures of --raw (default: that of the first one)",
+        "--size WxH  of --raw (default: of the first picture)",
         "--report",
-        "--seconds S <float>  also through pauses (default: until Ctrl-C, or until a stream that "
-        "had begun is silent for 5 s)",
+        "--seconds S <float>  also through pauses (default: until Ctrl-C, or 5 s of silence once "
+        "it has begun)",
     )
 
 

@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser, "overwrite", "link_frames", "record_cameras", "part_seconds", "part_mb"
     )
     parser.description = (
-        "Record a running session until Ctrl-C, or until it ends. The session goes on. "
+        "Record a running session until it ends, or until Ctrl-C: the session goes on. "
         "Exit code 1 if messages were lost."
     )
 

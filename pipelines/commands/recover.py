@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "file FILE.mcap <Path>  a torn recording; it stays",
         "--out FILE <Path>  the whole one; default: FILE.recovered.mcap",
-        "--overwrite  replace a file that exists",
+        "--overwrite",
     )
 
 

@@ -35,8 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "--seconds S <float>  send its first S seconds only",
-        "--speed X <float=1.0>  seconds of the recording a second, 0.1 to 4 (default 1, the only "
-        "one with voices)",
+        "--speed X <float=1.0>  0.1 to 4 (default 1, the only one with voices)",
     )
     add_options(parser, "--recode", "--cap-kbps")
     add_session_options(parser, "radio", "radio_start", "radio_delay_ms", "seed", "base_port")

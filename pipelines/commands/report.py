@@ -26,11 +26,10 @@ _MOST_OCTETS = 1 << 30
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
-        "report FILE.json <?>  the report of a session, whose summary is shown; or the word join",
-        "ends GROUND.json SPACE.json <...>  after join, the reports of `stream --end ground` and "
-        "`--end space`; their joined report goes to standard output",
-        "--html  write FILE.html beside the report: what fell short, what happened, latency, "
-        "rates, skew, force",
+        "report FILE.json <?>  of a session, whose summary is shown; or the word join",
+        "ends GROUND.json SPACE.json <...>  after join: of `stream --end ground` and `--end "
+        "space`; their joined report goes to standard output",
+        "--html  write FILE.html beside the report: what fell short, what happened, charts",
         "--schema  print the JSON Schema of the report of a session",
     )
 

@@ -27,14 +27,13 @@ from telepresence.haptics.specs import check_robot, load_robot, open_robot
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     check = (
-        "do with a robot what a session will do, and say what it does wrong; IT MOVES",
-        "robot SPEC  udp:HOST:PORT[:KEYFILE] or module:Class, as of `stream --robot`",
+        "do what a session will do, and say what the robot does wrong; IT MOVES",
+        "robot SPEC  as of `stream --robot`",
         SETUP_ROW,
     )
     serve = (
-        "let the joystick of a session drive a partner's robot: its Russian experiment",
-        f"--robot SPEC <={SIMULATED_ROBOT}>  sim, with its task board, udp:HOST:PORT[:KEYFILE] or "
-        "your own: module:Class (default: sim)",
+        "let a session's joystick drive a partner's robot: the Russian experiment",
+        f"--robot SPEC <={SIMULATED_ROBOT}>  as of `stream` (default: sim, with its task board)",
         SETUP_ROW,
     )
     add_way_arguments(add_actions(parser, {"check": check, "serve": serve})["serve"])

@@ -37,9 +37,9 @@ _SEAT = "rtc"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     rows = (
-        "serve a partner: it sees and hears what is given here, and is seen and heard",
+        "serve a partner, which sees, hears, is seen and is heard",
         "--http [HOST:]PORT <!>  where; TLS beyond loopback",
-        "--cert FILE <Path>  PEM file with certificate and key (default: made for this run)",
+        "--cert FILE <Path>  PEM file with certificate and key (default: made)",
     )
     serve = add_actions(parser, {"serve": rows})["serve"]
     add_options(serve, "--token", "--token-file", *SENDING, *OUTPUT)

@@ -13,15 +13,12 @@ from pipelines.session.setup.segments import Segment
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.description = (
-        "Ask the ground to send another camera's pictures up, or to code a part of them finer, and "
-        "wait for its acknowledgement. Exit code 1 if it refuses or no answer comes."
-    )
+    parser.description = "Have another camera's pictures sent up, or a part of them coded finer."
     add_options(
         parser,
         "camera CAMERA <?>  for example stereo, static or head",
-        "--focus X,Y,W,H  code a rectangle finer: left and upper edge, width and height, as shares "
-        "of the picture, like 0.4,0.3,0.2,0.25; off takes it away",
+        "--focus X,Y,W,H  code a rectangle finer: left, top, width and height as shares of the "
+        "picture, like 0.4,0.3,0.2,0.25; off: none",
         "--session",
     )
 

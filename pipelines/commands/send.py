@@ -27,14 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser,
         "--size",
         "--fps",
-        "--coded-size WxH <=auto>  in which pictures are coded; receivers scale them up (default: "
-        "auto, as large as there are bits for)",
+        "--coded-size WxH <=auto>  of pictures as coded; receivers scale them up (default: auto, "
+        "as large as there are bits for)",
         "--refresh-s S <float>  renew the whole picture every S seconds (default: "
         f"{SLOW_REFRESH_S:g} while a receiver gives feedback, else {REFRESH_S:g})",
-        f"--codec <{'|'.join(VIDEO_CODECS)}=h264>  of pictures: h265 (HEVC) computes more, and "
-        "often looks better (default: h264)",
-        f"--search <{'|'.join(SEARCHES)}=thorough>  for the best way to code pictures that are "
-        "not coded small: quick takes half the time and loses 1 dB (default: thorough)",
+        f"--codec <{'|'.join(VIDEO_CODECS)}=h264>  h265 (HEVC) computes more, and often looks "
+        "better (default: h264)",
+        f"--search <{'|'.join(SEARCHES)}=thorough>  quick: half the computing for 1 dB, of "
+        "pictures not coded small (default: thorough)",
         "--seconds",
         "--sdp FILE <Path>  write what receivers need to know",
         "--report",

@@ -31,8 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "--seconds S <float>  of virtual time",
-        "--replay FILE.mcap <Path>  send a recording again, with its setup, radio and seed unless "
-        "others are given",
+        "--replay FILE.mcap <Path>  send a recording again; default: with its setup, radio and "
+        "seed",
     )
     add_options(parser, "--recode", "--cap-kbps")
     add_session_options(
@@ -51,8 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(seed=None)
     add_options(
         parser,
-        "--source NAME=SPEC <*>  what an input captures: scene:NAME, a media file or "
-        "mcap:FILE#CHANNEL; repeatable",
+        "--source NAME=SPEC <*>  as of `stream`: scene:NAME, a media file or mcap:FILE#CHANNEL",
     )
     add_virtual_arguments(parser)
     add_options(parser, "--report", "-q")
@@ -128,11 +127,10 @@ def add_virtual_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "--select T=CAMERA <*>  the operator selects CAMERA at second T; repeatable",
-        "--plan PLAN.toml <Path>  tasks that a simulated cosmonaut does, one after the other "
-        "(docs/ground-control.md)",
-        "--robot SPEC  sim, or a simulated robot of your own: module:Class (default: sim)",
-        "--joystick SPEC  sim, sim:FAULT or your own simulated one, with calibration, states and "
-        "faults; without, always in the application",
+        "--plan PLAN.toml <Path>  tasks for a simulated cosmonaut (docs/ground-control.md)",
+        "--robot SPEC  sim (the default), or your own simulated module:Class",
+        "--joystick SPEC  sim, sim:FAULT or your own, with calibration, states and faults "
+        "(default: always in the application)",
         "--no-media  haptics and telecommands alone: much faster",
     )
     for cost in fields(CodingCosts):

@@ -19,8 +19,8 @@ from pipelines.session.situation import Known, at_end
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "--release  release the stop; the robot stays off until told", "--session")
     parser.description = (
-        "Stop the robot of a running session, and hold it until the stop is released. "
-        "Without --session it stops the robots of all sessions of this user, and asks nothing."
+        "Stop the robot, and hold it until the stop is released. Without --session, stop the "
+        "robots of all sessions of this user."
     )
 
 

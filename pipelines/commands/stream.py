@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "site FILE.toml <Path?>  a site file: any of the options below (docs/setup-file.md)",
-        "--explain  print what the session would run with, and where each value comes from",
+        "--explain  print what would run, and where each value comes from",
     )
     add_grouped_options(parser)
 

@@ -30,16 +30,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "plan PLAN.toml <Path>  handles, tasks and trials",
-        "--simulated N <int>  on virtual time, by the first N participants as simulated hands; "
-        "then the report",
+        "--simulated N <int>  simulated hands for the first N participants, on virtual time; then "
+        "the report",
         "--seed S <int=0>  of the simulated hands (default 0)",
-        "--report  show the effects, and write them as HTML, CSV and a MATLAB file beside the "
-        "trials",
+        "--report  show the effects; write HTML, CSV and a MATLAB file beside the trials",
         "--results DIR <Path>  the folder of the trials (default PLAN.results, or PLAN.simulated)",
-        f"--joystick SPEC <={PAGE}>  the handle: page, or one with motors, as `stream` takes it: "
-        "udp:HOST:PORT[:KEYFILE] or your own module:Class; where it rests is its middle",
-        "--page [HOST:]PORT  where the page is served (default 127.0.0.1:8270, or the next free "
-        "port)",
+        f"--joystick SPEC <={PAGE}>  the handle: page, udp:HOST:PORT[:KEYFILE] or your own "
+        "module:Class, with motors; where it rests is its middle",
+        "--page [HOST:]PORT  where the browser pages are served (default 127.0.0.1:8270, or the "
+        "next free ports); TLS beyond loopback",
     )
 
 

@@ -22,8 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_place_arguments(parser)
     add_options(
         parser,
-        "--report, --json FILE <Path>  keep runs and cases as JSON; runs that are in it are not "
-        "run again",
+        "--report, --json FILE <Path>  keep runs and cases as JSON, and run what is missing there",
         "--csv FILE <Path>  write a row for each run",
         "--plot FILE <Path>  draw one figure as PNG",
     )

@@ -29,10 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "task TASK <?>  which one to select",
         "--session",
     )
-    parser.description = (
-        "What an experimenter does with the tasks of a session that was started with "
-        "--tasks or --plan. Exit code 1 if it is refused."
-    )
+    parser.description = "Do what an experimenter does in a session with --tasks or --plan."
 
 
 def run(args: argparse.Namespace) -> int:

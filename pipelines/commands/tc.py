@@ -31,14 +31,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "application APPLICATION <?>  for example joystick or robot",
         "words WHAT <...>  a function with its arguments, such as halt; or ping, report NAME, on "
         "NAME, off NAME, get NAME..., set NAME=VALUE...",
-        "--from <ground|space>  the end that sends it; default: the one across the radio, if it "
-        "runs here",
+        "--from <ground|space>  the end that sends it (default: the far one, if here)",
         "--session",
         "--xtce  print the dictionary as XTCE, for other ground systems",
     )
     parser.description = (
-        "Send a telecommand, wait for its verification and print it. Without WHAT, list what an "
-        "application can do. Exit code 1 if it fails, or if nobody verifies it."
+        "Send a telecommand and print its verification. Without WHAT, list what an application "
+        "can do."
     )
 
 

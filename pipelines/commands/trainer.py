@@ -21,11 +21,11 @@ _LACKS = "without a trainer: start it with --trainer"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    camera = "camera NAME  the camera, such as operator_camera"
+    camera = "camera NAME  such as operator_camera"
     exercises: dict[str, Sequence[str]] = {
         name: (
             *(text, camera)[: 1 + (name == CAMERA)],
-            f"seconds S <float?={seconds}>  for S seconds (default {seconds:g})",
+            f"seconds S <float?={seconds}>  seconds (default {seconds:g})",
             "--session",
         )
         for name, (text, seconds) in EXERCISES.items()

@@ -19,15 +19,15 @@ _CALLED = f"--name <>  of the version; default: the folder's; {ELEMENTARY} for t
 #: By action: what it does, and its options.
 _ACTIONS = {
     "sign": (
-        "make the manifest of a version in a folder: checksums, signed by this machine's key",
+        "write the manifest of a version: checksums, signed by this machine's key",
         *("folder FOLDER <Path>  has the file `run`", _CALLED, "--key"),
     ),
     "add": (
-        "take a signed version over from a folder; it is not started",
+        "take over a signed version; it is not started",
         *(_DIRECTORY, "folder FOLDER <Path>  of the version", _CALLED, "--key"),
     ),
     "list": (
-        "print the versions: the one that worked last first, the elementary one last",
+        "print the versions, the one that worked last first",
         _DIRECTORY,
     ),
     "start": (
@@ -43,10 +43,10 @@ _ACTIONS = {
         *(_DIRECTORY, _NAME),
     ),
     "run": (
-        "run the current version, watch it, and fall back from one that fails",
+        "run the current version, and watch it",
         _DIRECTORY,
-        f"--probation S <float={_SECONDS}>  contact without application data that is allowed; "
-        f"default: {_SECONDS}",
+        f"--probation S <float={_SECONDS}>  allowed contact without application data (default: "
+        f"{_SECONDS})",
         *("arguments ARGUMENT <...>  after --: of run", "--inbox", "--key"),
     ),
 }

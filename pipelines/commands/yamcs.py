@@ -26,16 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "write the instance's directory: etc/ and mdb/"
     new = actions.add_parser("new", help=text, description=text)
     new.add_argument("directory", type=Path, metavar="DIR")
-    add_session_options(new, "setup=spacejustin")
+    add_session_options(new, "setup=spacejustin", "telemetry", "routes", "frames")
     add_options(
         new,
         f"--packets tcp:[HOST:]PORT|udp:HOST:PORT <={DEFAULT_PACKETS}>  as of `stream`, with the "
         f"session's host (default: {DEFAULT_PACKETS})",
-        "--frames udp:HOST:PORT  as of `stream` (default: none)",
-        f"--end <{'|'.join(segment.value for segment in Segment)}={Segment.GROUND.value}>  the "
-        "session's end that it is joined to (default: ground)",
-        "--telemetry SPEC <*>  as of `stream`",
-        "--routes FILE.xml <Path>  as of `stream`",
+        f"--end <{'|'.join(segment.value for segment in Segment)}={Segment.GROUND.value}>  that it "
+        "is joined to (default: ground)",
         f"--http-port PORT <port={_HTTP_PORT}>  of YAMCS",
     )
 

@@ -42,6 +42,7 @@ from pipelines.session.access import VIEWER_WORDS
 from pipelines.session.session_metrics import SampleNumbers, SessionNews, gathered, nested_values
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_text import setup_table
+from pipelines.session.topic import PacketOctets
 from pipelines.session.topology.table import Topology
 from pipelines.session.topology.topics import TASKS
 from telepresence.tmtc.pus.dictionary import Dictionary
@@ -285,13 +286,15 @@ class Bridge:
 
     @property
     def wanted(self) -> Iterator[Source]:
-        """What is to be read now: all units, so that a client can begin; else what is read."""
+        """What is to be read now: units, so that a client can begin; packets, so that a report can
+        name its telecommand; else what is read.
+        """
         for source in self._sources:
             channels = set(source.channels)
             if source.topic.type is HapticBlock:
                 # Touches are found there.
                 channels |= {EVENTS, LOG_LINES}
-            if source.topic.type is CodedUnit or self._reads(channels):
+            if source.topic.type in (CodedUnit, PacketOctets) or self._reads(channels):
                 yield source
 
     def _reads(self, channels: set[str]) -> bool:
@@ -323,7 +326,7 @@ class Bridge:
         if unit is not None:
             self._videos[source.topic].handle_unit(unit, stamp, at)
             return
-        if self._reads(set(source.channels)):
+        if source.topic.type is PacketOctets or self._reads(set(source.channels)):
             self._put(self._messages.of_sample(source, octets, stamp, at), at.now_ns)
         for event in self._messages.touches(source, octets):
             self._put_event(event, at.now_ns)

@@ -215,8 +215,8 @@ class LiveVideo:
         for client in clients:
             if not unit.added:
                 client.put(metadata, now_ns)
-            if unit.refused and unit.codec == "h265":
-                # The next units refer to it, and decoders of HEVC conceal nothing.
+            if joined.anew or (unit.refused and unit.codec == "h265"):
+                # The next units refer to what is missing, and decoders of HEVC conceal nothing.
                 client.end(channel)
             if client.has_begun(channel):
                 if joined.live is not None:

@@ -21,6 +21,7 @@ from pipelines.mission.tmtc_socket import send_to_tmtc
 from pipelines.recording.camera_reader import CameraReader
 from pipelines.recording.channels import Source, sources_of
 from pipelines.recording.session_messages import Instants
+from pipelines.recording.topic_samples import waiting_samples
 from pipelines.seats.seat_sockets import Message, SeatSockets
 from pipelines.session.access import AccessError, AccessKind, Found, Role
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC
@@ -190,12 +191,15 @@ class _Topics:
         wanted = {source.topic for source in bridge.wanted}
         for source in self._sources:
             self._open(source, source.topic in wanted)
-            reader = self._readers.get(source.topic)
-            while reader is not None and (lease := reader.next()) is not None:
-                with lease:
-                    octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
-                bridge.handle_sample(source, octets, stamp, Instants(at_ns, now_ns))
-            if reader is not None and bridge.poll_ask(source, now_ns):
+        readers = [
+            (source, self._readers[source.topic])
+            for source in self._sources
+            if source.topic in self._readers
+        ]
+        for source, octets, stamp, at_ns in waiting_samples(readers):
+            bridge.handle_sample(source, octets, stamp, Instants(at_ns, now_ns))
+        for source, reader in readers:
+            if bridge.poll_ask(source, now_ns):
                 reader.rejoin()
         if (selected := self._selected.latest()) is not None:
             self._camera = selected.camera

@@ -3,9 +3,9 @@
 They cost nothing while nobody reads. A reader that joins gets a key picture, because a stream
 seldom has one:
 
-- of H.264 the newest picture is coded anew here, in a thread, and published as `added` with the
-  number of its unit. A sender has no decoded picture, so it takes what was filmed. That resembles
-  the stream until the next refresh;
+- of H.264 the newest exact picture is coded anew here, in a thread, and published as `added` with
+  the number of its unit. A sender has no decoded picture, so it takes what was filmed. That
+  resembles the stream until the next refresh;
 - of HEVC no decoder goes on from other pictures. So the stream's own coder is asked for one.
 """
 
@@ -28,6 +28,11 @@ from pipelines.media.key_picture_maker import key_of, may_precede
 _USUAL_OCTETS = 16 << 10
 #: Key pictures that are made here are this far apart, and readers are looked for this often.
 _APART_NS, _LOOK_NS = 250 * NS_PER_MS, 20 * NS_PER_MS
+#: A damaged picture is taken if no exact one comes for this time. One that heals the stream refers
+#: to an exact one before the damage, which a decoder that begins with a damaged one does not have.
+_EXACT_NS = 3 * NS_PER_S
+#: A sender's stream is healed by a picture that refers to one of this time before, at most.
+_HEALED_NS = 3 * NS_PER_S
 #: How long a coder of HEVC is asked for a key picture, and how far apart that begins.
 _ASKED_NS, _ASKED_APART_NS = 3 * NS_PER_S, 10 * NS_PER_S
 
@@ -43,6 +48,7 @@ class _CodedTopic:
         self._joins = self._looked_ns = 0
         #: Whether a reader waits for a key picture, and when one was asked for or made.
         self._waiting = False
+        self._waiting_ns = 0
         self._key_ns: int | None = None
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="key pictures")
         self._newest: tuple[I420 | DecodedPicture, CodedUnit, CaptureStamp] | None = None
@@ -87,6 +93,7 @@ class _CodedTopic:
         self._looked_ns = now_ns
         before, self._joins = self._joins, self._writer.joins()
         waiting = not key and (self._waiting or self._joins > before)
+        self._waiting_ns = self._waiting_ns if self._waiting else now_ns
         self._waiting = waiting and self._writer.has_readers()
 
     def _make_key(self, now_ns: int) -> None:
@@ -94,7 +101,8 @@ class _CodedTopic:
         if not self._waiting or self._newest is None or self._making is not None or soon:
             return
         picture, unit, stamp = self._newest
-        if not may_precede(unit.data, self._sets):
+        exact = stamp.quality is not Quality.DAMAGED or now_ns - self._waiting_ns >= _EXACT_NS
+        if not exact or not may_precede(unit.data, self._sets):
             return
         self._waiting, self._key_ns = False, now_ns
         kept = picture.copy() if isinstance(picture, np.ndarray) else picture
@@ -151,9 +159,12 @@ class SentTopic(_CodedTopic):
         )
         now_ns = unit.stamp.capture_ns
         stamp = CaptureStamp(now_ns, next(self._numbers), self._source)
+        joined_ns = self._key_ns
         wanted = self._handle(coded, stamp, now_ns, picture)
         self._newest = None
-        return wanted
+        # It may refer to pictures from before the key picture of those who joined.
+        heals = unit.heals and joined_ns is not None and now_ns - joined_ns < _HEALED_NS
+        return wanted or heals
 
 
 def received_unit(

@@ -3,7 +3,8 @@
 A stream has an IDR picture at its beginning and after a loss only. So the process that has its
 coder publishes a key picture for each reader that joins the topic (`coded_topics.py`). It shows
 what the unit of the same number shows, and comes a little later than that unit. Until it is there,
-the units are kept; a decoder begins with it and those after it.
+the units are kept; a decoder begins with it and those after it. Where units were missed, decoders
+begin anew, since most streams refresh their picture once a minute only.
 """
 
 from collections.abc import Sequence
@@ -46,11 +47,13 @@ class Joined(NamedTuple):
     live: the unit, for decoders that have begun; None: it is not for them.
     begin: for decoders that wait: they begin with these units now. Empty: they wait on.
     before: the units that were kept and are not among `begin`.
+    anew: units before this one were missed, so decoders that have begun wait again from now on.
     """
 
     live: StreamUnit | None = None
     begin: Sequence[StreamUnit] = ()
     before: Sequence[StreamUnit] = ()
+    anew: bool = False
 
 
 class JoinedUnits:
@@ -85,21 +88,29 @@ class JoinedUnits:
         number, came = stamp.sequence, StreamUnit(unit, stamp, at_ns, unit.data)
         if unit.added:
             return self._handle_added(came) if waits else Joined()
+        begins = unit.key and not unit.damaged
+        anew = self._next not in (None, number) and not begins
         before = [] if number == self._next else self.take_kept()
         self._next = number + 1
+        return self._handle(came, before, begins=begins, waits=waits or anew)._replace(anew=anew)
+
+    def _handle(
+        self, came: StreamUnit, before: list[StreamUnit], *, begins: bool, waits: bool
+    ) -> Joined:
+        unit = came.unit
         if unit.refused and not self._refused:
             return Joined(before=before)
         live = came
         if self._lacks_sets:
             live, self._lacks_sets = _with_sets(came), False
-        if unit.key and not unit.damaged:
+        if begins:
             return self._begin(live, [live] if waits else (), before + self.take_kept())
         if not waits or unit.codec == "h265":
             return Joined(live, (), before + self.take_kept())
         if self._kept and self._kept[0].unit.added:
             return self._begin(live, [*self.take_kept(), _with_sets(came)], before)
         self._keep(came)
-        late = at_ns - self._kept[0].at_ns >= self._most_ns
+        late = came.at_ns - self._kept[0].at_ns >= self._most_ns
         if late or self.kept_octets > MOST_KEPT_OCTETS:
             before += self.take_kept()
         return Joined(live, (), before)
@@ -163,8 +174,9 @@ class JoinedSequence:
     def handle_unit(self, unit: CodedUnit, stamp: CaptureStamp, at_ns: int) -> Joined:
         """As of `JoinedUnits`; each unit is handed over once, and `before` ahead of the others."""
         self._codec = unit.codec
-        holds = self.holds
         joined = self._joined.handle_unit(unit, stamp, at_ns, waits=self.waits)
+        self.waits = self.waits or joined.anew
+        holds = self.holds
         self.waits = self.waits and not joined.begin
         return joined._replace(live=None) if holds or joined.begin else joined
 

@@ -110,13 +110,13 @@ class H264Copy:
     def copy(self, unit: CodedUnit, *, wanted: bool, key: bool) -> CodedUnit | None:
         """Return the unit as H.264; None while nobody wants it, or without a picture of it.
 
-        The first one after a pause, or of another size, is a key picture. key: this one, too.
+        The first one after that, or of another size, is a key picture. key: this one, too.
         """
         # Decode refused units, too: a wave is refused until its last picture, which needs them.
         self._count += 1
         pictures = self._decoder.decode(unit.data, self._count)
         if not pictures or unit.refused or not wanted:
-            self._codec = self._codec if wanted else None
+            self._codec = None
             return None
         picture = pictures[-1]
         size = picture.width, picture.height

@@ -243,6 +243,8 @@ class _Downlink:
         unit, now_ns = CodedUnit.unpack(lease.octets()), self._clock.now_ns()
         waits = bool(self._waiting & self.programme.peers)
         joined = self._joined.handle_unit(unit, lease.stamp, now_ns, waits=waits)
+        if joined.anew:
+            self._waiting |= self.programme.peers
         if joined.live is not None:
             for peer in self.programme.peers - self._waiting:
                 peer.send_unit(_access_unit(joined.live))

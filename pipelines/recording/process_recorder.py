@@ -24,6 +24,7 @@ from pipelines.recording.recorded_messages import RecordedEvent
 from pipelines.recording.recorder import EVENTS_LATE_NS, Recorder
 from pipelines.recording.recorder_metrics import RecorderMetrics
 from pipelines.recording.recorder_requests import RecorderRequests
+from pipelines.recording.topic_samples import waiting_samples
 from pipelines.session.process import TIMEOUT_NS, Context
 from pipelines.session.recording_requests import (
     RECORDER_SOCKET,
@@ -235,10 +236,8 @@ class _Recording:
         for source, reader in self._readers:
             if recorder.poll_ask(source, self._now_ns()):
                 reader.rejoin()
-            while (lease := reader.next()) is not None:
-                with lease:
-                    octets, stamp, at_ns = lease.octets(), lease.stamp, lease.published_ns
-                recorder.handle_sample(source, octets, stamp, self._now_ns(), published_ns=at_ns)
+        for source, octets, stamp, at_ns in waiting_samples(self._readers):
+            recorder.handle_sample(source, octets, stamp, self._now_ns(), published_ns=at_ns)
         if (choice := self._selected.latest()) is not None:
             self._follow(choice.camera)
         for camera in self._cameras:

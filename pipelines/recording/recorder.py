@@ -169,7 +169,7 @@ class Recorder:
         pictures = self._pictures.get(source.channels[0])
         if pictures is None:
             pictures = self._pictures[source.channels[0]] = _Pictures(source)
-        live, begin, before = pictures.sequence.handle_unit(unit, stamp, at.published_ns)
+        live, begin, before, _ = pictures.sequence.handle_unit(unit, stamp, at.published_ns)
         if begin and not pictures.begun:
             # The recording of this stream begins with the key picture.
             before = ()

@@ -556,10 +556,9 @@ class SessionReport(Report, frozen=True, kw_only=True):
     lip_sync: LipSyncReport | None
     cpu: CpuReport
     processes: dict[str, ProcessReport]
-    #: What broke a promise of the project; any gives exit code 1. A cap was exceeded, a stream or
-    #: haptics stopped despite a signal, a stamp was wrong, energy was made, a joystick or a robot
-    #: failed, values of this report were lost, or a process did not do its work: it hung, did not
-    #: come up, was started again more than twice, or ended without a reason.
+    #: What broke a promise: a cap exceeded, a stream or haptics stopped despite a signal, a wrong
+    #: stamp, energy made, a joystick or robot failed, values of this report lost, or a process that
+    #: hung, did not come up, was started again more than twice, or ended without a reason.
     failures: list[str]
     #: What made the session worse than need be, and its fix.
     warnings: list[Warning]

@@ -58,7 +58,7 @@ class JoinedStream:
         if self._again_ns is not None and now_ns >= self._again_ns:
             sequence.waits, self._again_ns = True, None
         sequence.waits = sequence.waits and subscribed
-        live, begin, before = sequence.handle_unit(unit, stamp, now_ns)
+        live, begin, before, _ = sequence.handle_unit(unit, stamp, now_ns)
         if before and sequence.waits:
             # They have waited for too long, and who joined still has no picture.
             sequence.waits, self._again_ns = False, now_ns + _AGAIN_NS

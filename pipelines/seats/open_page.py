@@ -256,6 +256,8 @@ class SeatMedia:
     def handle_unit(self, stream: int, unit: CodedUnit, stamp: CaptureStamp, now_ns: int) -> None:
         waiting = self._waiting(stream)
         joined = self._streams[stream].handle_unit(unit, stamp, now_ns, waits=bool(waiting))
+        for page in self._seeing() if joined.anew else ():
+            page.queue.lanes[stream].open = False
         if joined.live is not None:
             message = _packed(stream, joined.live)
             for page in self._seeing():

@@ -55,8 +55,8 @@ from pipelines.session.topic_ends import TopicReader, TopicWriter
 from pipelines.session.training import TRAINER_SOCKET, TrainerAnswer, TrainerRequest
 from telepresence.haptics.device.page import PageInput
 
-#: Unread samples of a topic that are kept.
-_DEPTH = 8
+#: Unread samples of a topic that are kept; of one with units, which refer to those before.
+_DEPTH, _UNITS = 8, 32
 #: HEVC units of a stream that wait for their copy, two seconds of 30 Hz. Newer ones are left out,
 #: and copies come again with the next key picture or wave.
 _MOST_COPYING = 60
@@ -129,7 +129,7 @@ class SeatTopics:
             if each.via is Via.SOUND:
                 yield _Fed(each.topic, partial(self._sound, each.index))
             else:
-                yield _Fed(each.topic, partial(self._unit, each.index), always=True)
+                yield _Fed(each.topic, partial(self._unit, each.index), _UNITS, always=True)
         for end, topic in plan.traces.items():
             yield _Fed(topic, partial(self._haptics, end))
         for preview, topic in plan.previews.items():

@@ -33,18 +33,18 @@ COMMON_ROWS = {
     row.split()[0].rstrip(","): row
     for row in (
         "--seconds S <float>  end after S seconds (default: on Ctrl-C)",
-        "--session NAME  which one, where several run; its setup's name will do",
+        "--session NAME  which one of several; its setup's name will do",
         "--key FILE <Path>  the private key; default: kontur-av/key.pem in the configuration "
         "directory",
-        "--joystick-map FILE.toml <Path>  which control of a game controller moves what, with "
-        "evdev and page (default: the usual)",
+        "--joystick-map FILE.toml <Path>  which control of a game controller moves what",
         "--inbox FOLDER <Path>  take updates and orders that come here as files",
-        "--raw PATH  write the decoded pictures as YUV4MPEG2 into a file or FIFO, as they come",
+        "--raw PATH  write the decoded pictures as YUV4MPEG2 into a file or FIFO",
         "--report FILE <Path>  write the report as JSON",
         "--base-port P <int>  first of the 40 UDP ports",
+        "--overwrite  replace files that exist",
         "-q, --quiet  show nothing but mistakes",
         "--token T  the bearer token that the server wants",
-        "--token-file FILE <Path>  the same in a file, hidden from other users",
+        "--token-file FILE <Path>  the same, hidden from other users",
         "--token-origin https://HOST <*>  another origin that gets the token after a redirect; "
         "repeatable",
         "--video SPEC  the picture to send: FILE, rtsp://HOST/PATH, pipe:PATH, v4l2:DEVICE or "
@@ -52,8 +52,8 @@ COMMON_ROWS = {
         "--audio SPEC  the voice to send: FILE, pipe:PATH, alsa:DEVICE or scene:NAME",
         "--size WxH <=640x480>  default: 640x480",
         "--fps N <float=30>  like 29.97 (default: 30)",
-        "--video-kbps K <float=1500.0>  of the picture, less when the partner can take less "
-        "(default: 1500)",
+        "--video-kbps K <float=1500.0>  of the picture, or what the partner can take (default: "
+        "1500)",
         "--voice-kbps K <float=32.0>  of the voice (default: 32)",
         "--save FILE.mkv  write the picture as it comes",
         "--save-voice FILE.mka  write the voice as it comes",

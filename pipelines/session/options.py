@@ -31,7 +31,7 @@ FILES_BPS = {Segment.GROUND: 8_000, Segment.SPACE: 200_000}
 FILES_KBPS = ",".join(f"{bps / 1000:g}" for bps in FILES_BPS.values())
 
 
-GROUPS = ("session", "inputs", "robot", "radio", "pages", "outlets")
+GROUPS = ("session", "inputs", "robot", "radio", "two machines", "pages", "outlets")
 
 
 def _declare(group: str, row: str, default: object = None, **more: object) -> Any:
@@ -51,7 +51,9 @@ def _declare(group: str, row: str, default: object = None, **more: object) -> An
     return field(default=() if metavar.startswith("NAME=") else default, metadata=more)
 
 
-_session, _inputs, _robot, _radio, _pages, _outlets = (partial(_declare, group) for group in GROUPS)
+_session, _inputs, _robot, _radio, _far, _pages, _outlets = (
+    partial(_declare, group) for group in GROUPS
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,11 +70,11 @@ class StreamOptions:
         "*FILE.xml  have tasks that people select; with files, further ones", bare=()
     )
     quiet: bool = _session("*-q", False, rivals=("verbose",))
-    overwrite: bool = _session("replace a recording of that name", False)
+    overwrite: bool = _session("replace files that exist", False)
     link_frames: bool = _session("record every frame of the radio link, too", False)
     record_cameras: Literal["all", "carried"] | None = _session(
-        "every camera at its full rate (all, the default if the disk has room for an hour), or "
-        "those that no stream carries at 5 Hz (carried)"
+        "all: each at its full rate (the default, if the disk has room for an hour); carried: "
+        "those that no stream carries at 5 Hz"
     )
     part_seconds: float = _session(
         "S  begin a new part of the recording after S seconds (default 600)", 600.0
@@ -82,7 +84,7 @@ class StreamOptions:
     plan: Path | None = _session(
         "PLAN.toml  a plan's tasks; with a simulated joystick a simulated cosmonaut does them"
     )
-    leds: str | None = _session("HOST:PORT  of an LED panel that takes the place of the built-in")
+    leds: str | None = _session("HOST:PORT  an LED panel instead of the built-in")
     runs: Path | None = _session("DIR  record each run of a task into a file there")
     telemetry: tuple[str, ...] = _session(
         "SPEC  your component in telemetry: module:Class, at both ends; repeatable", ()
@@ -103,25 +105,24 @@ class StreamOptions:
     )
 
     robot: str = _robot(
-        "*SPEC  sim, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: sim)",
+        "*SPEC  sim (the default), udp:HOST:PORT[:KEYFILE] or your own module:Class",
         SIMULATED_ROBOT,
     )
     joystick: str = _robot(
-        "*SPEC  sim, page (the hand at the operator's page), ros2 (a node's), evdev, "
-        "evdev:/dev/input/eventN, udp:HOST:PORT[:KEYFILE] or your own: module:Class (default: "
-        "sim); see `kontur-av joystick list`",
+        "*SPEC  sim (the default), page (the hand at the operator's page), ros2 (a node's), "
+        "evdev[:/dev/input/eventN], udp:HOST:PORT[:KEYFILE] or your own module:Class; see "
+        "`kontur-av joystick list`",
         SIMULATED,
     )
     joystick_map: Path | None = _robot("--joystick-map")
     second_robot: str = _robot("SPEC  the partner's arm, as --robot", SIMULATED_ROBOT)
     hand: HandMode | None = _robot(
-        "what the hand feels: the robot's delayed force (direct), a wall rendered at the joystick "
-        "(mediated), that wall and all other force directly (auto), or auto from a round trip of "
-        "60 ms on (adaptive, the default)"
+        "direct: the robot's delayed force is felt; mediated: a wall rendered at the joystick; "
+        "auto: that wall, and other force directly; adaptive (the default): auto from a round trip "
+        "of 60 ms on"
     )
     force: ForceMode | None = _robot(
-        "none: the hand feels nothing; commands go at command_hz of the setup, and pictures have "
-        "the room (default: felt)"
+        "none: the hand feels nothing, and pictures get the room (default: felt)"
     )
     deadband: Deadband | None = _robot(
         "leave out haptic samples that nobody would miss; the uplink video gets a higher rate "
@@ -136,42 +137,38 @@ class StreamOptions:
         "restore lost frames from idle slots (idle), at losses also from the room of pictures "
         "left out (auto, the default)"
     )
-    end: Literal["ground", "space"] | None = _radio(
-        "*run this end alone; the other runs on another machine"
-    )
-    listen: str | None = _radio(
-        "*ADDR:PORT  with --end: wait for the other end at this UDP port; 0.0.0.0 or [::]: "
-        "every address",
-        rivals=("peer",),
-    )
-    peer: str | None = _radio(
-        "*HOST:PORT  with --end: call the other end there", rivals=("listen",)
-    )
     radio_start: float | None = _radio(
         "S  begin S seconds after a pass's acquisition of signal (negative: before it)"
     )
     radio_delay_ms: float | None = _radio("D  a cable with a delay one way", rivals=("radio",))
     seed: int = _radio("N  seed of the radio's random losses", 0)
-    key: Path | None = _radio("--key", rivals=("insecure",))
-    identity: str | None = _radio(
-        "ID  with --end: the other machine's identity, if several are trusted",
-        rivals=("insecure",),
+    bypass: bool = _radio("for tests: join the programs directly, past gateways and radio", False)
+
+    end: Literal["ground", "space"] | None = _far(
+        "*run this end alone; --listen or --peer says how it meets the other"
     )
-    insecure: bool = _radio(
-        "with --end: neither encrypt nor authenticate; on a private network only",
+    listen: str | None = _far(
+        "*ADDR:PORT  wait for the other end at this UDP port; 0.0.0.0 or [::]: every address",
+        rivals=("peer",),
+    )
+    peer: str | None = _far("*HOST:PORT  call the other end there", rivals=("listen",))
+    key: Path | None = _far("--key", rivals=("insecure",))
+    identity: str | None = _far(
+        "ID  the other machine's, if several are trusted", rivals=("insecure",)
+    )
+    insecure: bool = _far(
+        "neither encrypt nor authenticate; on a private network only",
         False,
         rivals=("key", "identity", "path_batch_ms", "path"),
     )
-    path: PathForm | None = _radio(
-        "with --end: compact leaves out what is idle, which shows an eavesdropper how much is "
-        "sent; slots, the default, nothing",
+    path: PathForm | None = _far(
+        "compact: without what is idle, which shows an eavesdropper how much is sent (default: "
+        "slots)",
         rivals=("insecure",),
     )
-    path_batch_ms: int | None = _radio(
-        "MS  with --end: frames of 1 (the default), 2 or 4 ms go in one datagram",
-        rivals=("insecure",),
+    path_batch_ms: int | None = _far(
+        "MS  a datagram has the frames of 1 (the default), 2 or 4 ms", rivals=("insecure",)
     )
-    bypass: bool = _radio("for tests: join the programs directly, past gateways and radio", False)
 
     page: str | bool | None = _pages(
         f"*[HOST:]PORT  where the browser pages are served (default 127.0.0.1:{PAGE_PORT}, or the "
@@ -180,11 +177,11 @@ class StreamOptions:
     )
     open: bool = _pages("*open the first page in a browser", False)
     page_cert: Path | None = _pages(
-        "FILE  PEM file with certificate and key for the pages (default: made for the session)"
+        "FILE  PEM file with certificate and key for the pages (default: made)"
     )
     rtc: str | None = _pages(
-        "[HOST:]PORT  serve a partner by WebRTC: it sees and hears both sides, and the ground it "
-        f"(default 127.0.0.1:{RTC_PORT}); TLS beyond loopback",
+        f"[HOST:]PORT  serve a partner by WebRTC (default 127.0.0.1:{RTC_PORT}); TLS beyond "
+        "loopback",
         bare=RTC_PORT,
     )
     rtc_token_file: Path | None = _pages(
@@ -192,19 +189,17 @@ class StreamOptions:
     )
     rtc_hand_token_file: Path | None = _pages("FILE  its token to steer (default: a new one)")
     ice_server: str | None = _pages(
-        "URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: what the media "
-        "server names, if there is one)"
+        "URL  stun:HOST[:PORT] or turn:HOST[:PORT][?transport=tcp] (default: as the media server "
+        "says)"
     )
     turn_secret_file: Path | None = _pages(
         "FILE  shared with a TURN server, for credentials of one hour (coturn's use-auth-secret)",
         rivals=("turn_user",),
     )
-    turn_user: str | None = _pages(
-        "USER  a lasting user name of the server", rivals=("turn_secret_file",)
-    )
+    turn_user: str | None = _pages("USER  a lasting user name there", rivals=("turn_secret_file",))
     turn_password_file: Path | None = _pages("FILE  with --turn-user")
     ice_relay_only: bool = _pages(
-        "go through the TURN server only, and tell no address of this machine", False
+        "go through the TURN server only; tell no address of this machine", False
     )
 
     metrics: str | None = _outlets(
@@ -218,9 +213,8 @@ class StreamOptions:
         bare="8765",
     )
     ros2: str | None = _outlets(
-        "*[HOST:]PORT  be a node of ROS 2, in the domain of ROS_DOMAIN_ID, by the router of "
-        "rmw_zenoh there (default 127.0.0.1:7447); everyone who reaches it sees and hears the "
-        "session",
+        "*[HOST:]PORT  be a node of ROS 2, in ROS_DOMAIN_ID, by this router of rmw_zenoh (default "
+        "127.0.0.1:7447); everyone who reaches it sees and hears the session",
         bare="7447",
     )
     files: Path | None = _outlets(
@@ -240,13 +234,12 @@ class StreamOptions:
         "PORT, the uplink's to PORT + 1"
     )
     files_rate: str | None = _outlets(
-        "UP,DOWN  the most that files take, in kbit/s from the ground and from space (default "
-        f"{FILES_KBPS})",
+        f"UP,DOWN  the most that files take, in kbit/s (default {FILES_KBPS})",
         like="two numbers, like [8, 200]",
     )
     service: tuple[str, ...] = _outlets(
-        "NAME=PORT  lead TCP connections to PORT here to the other end's service NAME (both ends "
-        "here: from the ground); needs --files; repeatable"
+        "NAME=PORT  lead TCP connections from PORT here to the other end's service NAME; needs "
+        "--files; repeatable"
     )
     service_allow: tuple[str, ...] = _outlets(
         "NAME=HOST:PORT  let the other end connect to HOST:PORT as service NAME; repeatable"

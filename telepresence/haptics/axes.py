@@ -48,9 +48,8 @@ class AxisSettings:
     mode: `position`: the axis follows the handle's. `rate`: the handle's deflection is the axis'
     speed, and the hand feels no force of it.
     scale: way of the robot's axis over that of the handle's, or its speed; below 0 it is turned.
-    half_range: from its middle, in m or rad; the robot's own, if that is less.
-    force_limit: in N or N m; the robot's own, if that is less.
-    speed: in m/s or rad/s; the robot's own, if that is less.
+    half_range, force_limit, speed: in m, N and m/s, or rad, N m and rad/s; the robot's own, if that
+    is less. The range is from the middle.
     """
 
     kind: AxisKind | None = None

@@ -26,17 +26,16 @@ class SafetyLimits:
     """Limits of a setup; the defaults are chosen. ValueError for limits that cannot work.
 
     command_max_age_s: the robot holds still when the newest command is older.
-    hand_max_age_s: a command is too old to move the robot so long after the hand gave it. The
-    radio's delay, there and back, comes on top.
-    resume_within_s: a drop-out of the commands up to this resumes by itself. A pass has many.
+    hand_max_age_s: a command this long after the hand gave it moves nothing. The radio's delay,
+    there and back, comes on top.
+    resume_within_s: a drop-out of the commands up to this resumes by itself.
     approach_m_s: how fast the robot then catches up with the hand.
-    picture_max_age_s: an older picture of the operator is too old. The radio's delay, and what the
-    setup grants the stream (`Setup.stale_after_ns`), come on top.
-    slow_m_s: speed while the operator's picture is too old.
+    picture_max_age_s: the operator's picture is then too old. The radio's delay and the stream's
+    `stale_after_ms` come on top.
+    slow_m_s: speed while it is too old.
     picture_hold_s: after so long with such a picture the robot needs a new press.
-    speed_m_s: of the reference, in any case.
-    force_n: of the motors, in any case.
-    half_width_m, half_height_m: of the workspace, in any case.
+    speed_m_s, force_n, half_width_m, half_height_m: in any case, of reference, motors and
+    workspace.
     """
 
     command_max_age_s: float = 0.02

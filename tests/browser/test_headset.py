@@ -16,6 +16,8 @@ SETUP = """
 cameras = ["static"]
 [uplink_video]
 cap_kbps = 90
+size = "320x240"
+fps = 15
 """
 #: A worn headset, and what its right controller does: `squeeze`, and 2 mm a frame to `right`.
 WORN = """

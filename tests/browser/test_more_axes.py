@@ -15,6 +15,8 @@ cameras = ["static"]
 axes = ["x", "y", "z", "gripper"]
 [uplink_video]
 cap_kbps = 90
+size = "320x240"
+fps = 15
 [uplink]
 frame_octets = 48
 """

@@ -6,7 +6,7 @@ from random import Random
 from browser import eventually
 from file_transfer import Transfer
 from janus_room import free_port
-from running_session import RunningSession
+from running_session import BOARD, RunningSession
 
 from telepresence.upkeep.inbox import TOLD, UpdateInbox
 
@@ -31,7 +31,7 @@ def test_the_systems_operator_sees_files_software_and_milestones_and_restarts_a_
         return json.loads(status.read_text())["busy"]
 
     options = ("--files", str(ends), "--tasks", "--trainer", "--page", str(free_port()))
-    with RunningSession("taskboard", *options, directory=tmp_path) as session:
+    with RunningSession(BOARD, *options, directory=tmp_path) as session:
         session.wait_for_flow()
         page = start_browser().open(session.pages()["systems"])
         page.wait(SAYS.format("upkeep-panel", "none runs"))

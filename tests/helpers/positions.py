@@ -12,8 +12,19 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+#: Where a statement has others; an expression has none.
+_BODIES = ("body", "orelse", "handlers", "finalbody", "cases")
+
+
 @cache
 def imports_of(path: Path) -> list[ast.Import | ast.ImportFrom]:
     """All imports of a module, within functions too."""
-    kinds = ast.Import, ast.ImportFrom
-    return [node for node in ast.walk(tree_of(path)) if isinstance(node, kinds)]
+    found, left = [], [tree_of(path)]
+    while left:
+        node = left.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found.append(node)
+        for name in _BODIES:
+            inner = getattr(node, name, ())
+            left += inner if isinstance(inner, list) else ()
+    return found

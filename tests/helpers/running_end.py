@@ -2,7 +2,7 @@
 
 import re
 
-from running_session import RunningSession, eventually
+from running_session import RunningSession, eventually, written
 
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import load_setup
@@ -15,10 +15,11 @@ class RunningEnd(RunningSession):
     """`kontur-av stream --end`. prefix: the words before the command, which choose its host."""
 
     def __init__(self, setup, end, *options, directory, prefix=()):
+        directory.mkdir(exist_ok=True)
+        setup = written(setup, directory)
         self.setup = load_setup(setup)
         topology = topology_of(self.setup, recorder=True, segments=(Segment(end),))
         self.prefix = prefix
-        directory.mkdir(exist_ok=True)
         words = ["stream", "--setup", setup, "--end", end, "--no-page", *map(str, options)]
         self._begin(topology.processes_here, words, directory)
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import multiprocessing
 import os
 import re
 import shutil
@@ -17,6 +18,7 @@ from common import TIMEOUT_S, WORKER, eventually, free_port
 
 from kontur_av.topics.bus import TopicBus
 from kontur_av.topics.session_files import SHARED_MEMORY, shared_memory
+from pipelines.cli import main
 from pipelines.session.command_process import end_with_parent
 from pipelines.session.setup.setup_file import load_setup
 from pipelines.session.setup.table import PORTS, RtcLeg
@@ -32,6 +34,25 @@ from pipelines.cli import main
 sys.exit(main())
 """
 SESSION_COMMAND = (sys.executable, "-c", _SESSION)
+#: The task board and the streams of SpaceJustin, with pictures that cost less.
+BOARD = """
+cameras = ["stereo", "static"]
+uplink_video = {cap_kbps = 90, size = "320x240", fps = 15}
+"""
+SMALL = """
+cameras = ["static", "head"]
+uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
+uplink_voice = {cap_kbps = 8}
+downlink_video = {cap_kbps = 512, size = "320x240", fps = 15}
+downlink_voice = {cap_kbps = 64}
+"""
+#: Another terminal: forked from a process that has loaded the commands, which costs less than a new
+#: Python for each of them.
+_TERMINALS = multiprocessing.get_context("forkserver")
+_ASKED = "authority file maintain record select stop task tc trainer"
+_TERMINALS.set_forkserver_preload(
+    [__name__, *(f"pipelines.commands.{one}" for one in _ASKED.split())]
+)
 _LIVE_STREAM = re.compile(r"(\w+) [\d.]+/[\d.]+ kbit/s (\d+) shown")
 _LIVE_HAPTIC = re.compile(r"(haptic_\w+) (\d+) received")
 
@@ -82,6 +103,14 @@ def _name_of(pid):
     return comm if comm.startswith("kav ") else None
 
 
+def written(setup, directory):
+    """Return a setup's name, or the path of the file that its text is written to."""
+    if "\n" not in setup:
+        return setup
+    (file := Path(directory) / "setup.toml").write_text(setup)
+    return str(file)
+
+
 class RunningSession:
     """`kontur-av stream` with options. Its exit ends the session in any case.
 
@@ -95,9 +124,7 @@ class RunningSession:
 
     def __init__(self, setup, *options, directory, prefix=()):
         self.prefix = prefix
-        if "\n" in setup:
-            (file := Path(directory) / "setup.toml").write_text(setup)
-            setup = str(file)
+        setup = written(setup, directory)
         pages = "--page" in options
         changes = {"rtc": RtcLeg()} if "--rtc" in options else {}
         self.setup = load_setup(setup, changes=changes)
@@ -244,11 +271,17 @@ class RunningSession:
         return self.ask("select", camera)
 
     def ask(self, *words):
-        """Run a command from another terminal."""
-        command = [*COMMAND, *words]
-        return subprocess.run(
-            command, capture_output=True, text=True, timeout=TIMEOUT_S, env=self.environment
-        )
+        """Run a command in another terminal."""
+        with tempfile.TemporaryDirectory(dir=self.temporary.parent) as said:
+            out, error = Path(said) / "out", Path(said) / "error"
+            arguments = (words, self.environment, out, error)
+            terminal = _TERMINALS.Process(target=_run_command, args=arguments, daemon=True)
+            terminal.start()
+            terminal.join(TIMEOUT_S)
+            if (code := terminal.exitcode) is None:
+                terminal.kill()
+            assert code is not None, f"{words} has not ended after {TIMEOUT_S:g} s"
+            return subprocess.CompletedProcess(words, code, out.read_text(), error.read_text())
 
     @contextlib.contextmanager
     def bus(self, monkeypatch):
@@ -293,6 +326,15 @@ class RunningSession:
         assert [pid for pid in self.seen_pids if alive(pid)] == []
         assert self.shared_memory() == []
         assert [path for path in self.temporary.rglob("*") if not path.is_dir()] == []
+
+
+def _run_command(words, environment, out, error):
+    for number, path in enumerate((out, error), 1):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
+    os.environ.clear()
+    os.environ.update(environment)
+    sys.argv = ["kontur-av", *words]
+    sys.exit(main())
 
 
 class RunningReplay(RunningSession):

@@ -15,7 +15,7 @@ from programs import camera_server, media_server
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from kontur_av.media import empty_picture, planes
-from kontur_av.sources import check_spec, open_video
+from kontur_av.sources import check_spec, network, open_video
 from kontur_av.sources.network import NetworkVideo
 from pipelines.cli import main
 
@@ -63,7 +63,7 @@ def test_a_stream_is_dated_and_survives_a_restart(tmp_path, server, scheme, path
         source.close()
 
 
-def test_a_stalled_server_is_reported_and_stops_no_process(tmp_path):
+def test_a_stalled_server_is_reported_and_stops_no_process(tmp_path, monkeypatch):
     port = free_port(socket.SOCK_STREAM)
     url = f"rtsp://127.0.0.1:{port}/h264"
     with media_server(tmp_path / "1.txt", port) as server:
@@ -82,7 +82,8 @@ def test_a_stalled_server_is_reported_and_stops_no_process(tmp_path):
             assert sender.wait(TIMEOUT_S) == 0
         report = json.loads((tmp_path / "r.json").read_text())
         assert report["failed"] == [] and report["source"]["faults"] >= 1
-        # A server that only accepts connections.
+        # A server that only accepts connections; it is waited for more briefly here.
+        monkeypatch.setattr(network, "_OPEN_S", 2.0)
         with pytest.raises(ConfigError, match="no answer within 10 s"):
             check_spec(url, "video")
 

@@ -61,7 +61,7 @@ SHELLS = {
     "pipelines/partner": "coded_sources peer samples server transport whip",
     "pipelines/recording": (
         "camera_reader live_output matroska part_files raw_pictures received_media recorded_parts "
-        "recording_file replay_setup"
+        "recording_file replay_setup topic_samples"
     ),
     "pipelines/recording/export": "films lerobot table_files",
     "pipelines/report": "charts live process_metrics report_file schema session_feed",
@@ -192,6 +192,7 @@ def names_from_shells(module: str) -> set[str]:
     return found
 
 
+@cache
 def modules() -> list[str]:
     found = [path for package in ORDER for path in (ROOT / package).rglob("*.py")]
     return sorted(path.relative_to(ROOT).as_posix() for path in found)
@@ -280,6 +281,7 @@ def test_cores_import_no_shell():
     assert not wrong, "a core is handed what a shell has read"
 
 
+@cache
 def cores_imported(module: str) -> set[str]:
     """The cores that a module imports and that are driven with `now_ns`."""
     names = {one for package, name in imports(module) for one in (package, f"{package}.{name}")}

@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 from file_transfer import Transfer
-from running_session import RunningSession, eventually
+from running_session import BOARD, RunningSession, eventually
 
 #: Some seconds, in which another command can begin.
 DOWN = Random(1).randbytes(200_000)
@@ -22,7 +22,7 @@ def session(tmp_path_factory):
         (top / "files" / path).parent.mkdir(parents=True, exist_ok=True)
         (top / "files" / path).write_bytes(octets)
     options = ("--files", str(top / "files"), "--files-rate", "8,300", "--trainer")
-    with RunningSession("taskboard", *options, directory=top) as one:
+    with RunningSession(BOARD, *options, directory=top) as one:
         one.wait_for_flow()
         yield one
 

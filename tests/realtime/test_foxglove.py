@@ -14,7 +14,7 @@ import browser as browsers
 import pytest
 from foxglove_client import FoxgloveClient, address, needs_client
 from mcap.reader import make_reader
-from running_session import RunningSession, assert_sound, eventually, tcp_port
+from running_session import BOARD, RunningSession, assert_sound, eventually, tcp_port
 
 from kontur_av.rtp.nal_formats import H264
 from pipelines.recording.recorded_messages import RecordedPicture, unpack
@@ -207,7 +207,7 @@ def test_chromium_shows_each_picture_that_foxgloves_client_gets(run):
 
 @needs_client
 def test_over_tls_a_client_leads_a_task_by_services(start, tmp_path):
-    session = start("taskboard", "--tasks", "--foxglove", f"0.0.0.0:{tcp_port()}")
+    session = start(BOARD, "--tasks", "--foxglove", f"0.0.0.0:{tcp_port()}")
     session.wait_for_flow()
     url = address(session)
     assert url.startswith("wss://")

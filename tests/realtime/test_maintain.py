@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from running_session import eventually
+from running_session import BOARD, eventually
 
 from pipelines.cli import main
 
@@ -67,7 +67,7 @@ def test_without_a_terminal_it_asks_for_yes(tmp_path, monkeypatch, capsys):
 
 
 def test_beside_a_session_it_waits_for_contact_and_does_nothing_in_an_experiment(start, tmp_path):
-    session = start("taskboard", "--tasks", "--trainer")
+    session = start(BOARD, "--tasks", "--trainer")
     session.wait_for_flow()
     script = tmp_path / "pass.txt"
     log = tmp_path / "own.log"

@@ -8,7 +8,7 @@ import subprocess
 
 from prometheus_client.parser import text_string_to_metric_families
 from prometheus_peer import SAMPLES, PrometheusPeer, fetched, needs_prometheus
-from running_session import eventually, tcp_port
+from running_session import BOARD, eventually, tcp_port
 
 from pipelines.report.exposition import Exposition
 
@@ -24,7 +24,7 @@ def samples(text):
 @needs_prometheus
 def test_prometheus_reads_what_the_report_says(start, tmp_path):
     port = tcp_port()
-    session = start("taskboard", "--metrics", str(port))
+    session = start(BOARD, "--metrics", str(port))
     session.wait_for_flow()
     peer = PrometheusPeer(tmp_path, port, tcp_port())
     sent = ("kontur_stream_frames_sent_total", ("stream", "uplink_video"))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from programs import running
 from robot_tip import Tip
-from running_session import COMMAND, eventually
+from running_session import BOARD, COMMAND, eventually
 
 from pipelines.session.mission_messages import MISSION_GROUND_TOPIC, ROBOT_STATUS_TOPIC
 from pipelines.session.topic_ends import TopicReader
@@ -94,7 +94,7 @@ def test_a_strangers_arm_runs_a_session(start, tmp_path):
         "gymnasium_robotics", reason="gymnasium-robotics: pip install gymnasium-robotics"
     )
     shutil.copy(SAMPLES / "strangers_arm.py", tmp_path)
-    session = start("taskboard", "--robot", "strangers_arm:Fetch", "--record", "run.mcap")
+    session = start(BOARD, "--robot", "strangers_arm:Fetch", "--record", "run.mcap")
     session.wait_for_flow(["haptic_up"])
     for order in ("power_off", "power_on"):
         eventually(lambda order=order: session.ask("tc", "robot", order).returncode == 0, order)

@@ -4,14 +4,14 @@ import shutil
 from pathlib import Path
 
 from robot_tip import Tip
-from running_session import eventually
+from running_session import BOARD, eventually
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_robot.py"
 
 
 def test_the_samples_robot_is_moved_touches_its_wall_and_stops(start, tmp_path, monkeypatch):
     shutil.copy(SAMPLE, tmp_path)
-    session = start("taskboard", "--robot", "own_robot:Mass", "--record", "run.mcap")
+    session = start(BOARD, "--robot", "own_robot:Mass", "--record", "run.mcap")
     session.wait_for_flow()
     with session.bus(monkeypatch) as bus:
         tip = Tip(bus)

@@ -4,7 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from running_session import eventually
+from running_session import BOARD, eventually
 
 from pipelines.mission.tmtc_messages import TMTC_TOPICS, CommandUpdate, Reported
 from pipelines.recording.recorded_messages import RecordedEvent, unpack
@@ -39,7 +39,7 @@ def test_the_samples_battery_is_told_called_and_heard_and_lives_on(start, tmp_pa
     routes = tmp_path / "routes.xml"
     routes.write_text('<Routes><Route from="battery" data="voltage" to="ground"/></Routes>')
     component = ("--telemetry", "own_telemetry:Battery", "--routes", str(routes))
-    session = start("taskboard", *component, "--record", str(path))
+    session = start(BOARD, *component, "--record", str(path))
 
     def voltage():
         return (

@@ -7,7 +7,7 @@ import threading
 
 from common import free_port
 from running_end import RunningEnd
-from running_session import eventually, free_pair
+from running_session import BOARD, eventually, free_pair
 
 from telepresence.link.frame import FrameCodec
 from telepresence.link.profile import DOWNLINK, UPLINK
@@ -88,13 +88,13 @@ def test_space_gives_packets_and_frames_by_udp_and_takes_telecommands(tmp_path):
             stack.enter_context(Listener(port)) for port in (packets, frames, frames + 1)
         )
         ground = stack.enter_context(
-            RunningEnd("taskboard", "ground", *near, directory=tmp_path / "ground")
+            RunningEnd(BOARD, "ground", *near, directory=tmp_path / "ground")
         )
         # It has its ports, so that the other end takes others.
         ground.pids()
         space = stack.enter_context(
             RunningEnd(
-                *("taskboard", "space", *far, *outside, "--frames", f"udp:127.0.0.1:{frames}"),
+                *(BOARD, "space", *far, *outside, "--frames", f"udp:127.0.0.1:{frames}"),
                 directory=tmp_path / "space",
             )
         )

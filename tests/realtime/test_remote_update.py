@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 from file_transfer import Transfer
-from running_session import RunningSession, eventually
+from running_session import BOARD, RunningSession, eventually
 from upkeep_programs import PROGRAM, WORKS, make, running
 
 from pipelines.link.key_files import make_key, read_key
@@ -57,7 +57,7 @@ def ends(tmp_path_factory):
             LoaderKeeper(storages, print).fill(copy, make(top / copy.value, "first"))
         options = ("--files", str(top / "ends"), "--files-rate", "15,200", "--trainer")
         with (
-            RunningSession("taskboard", *options, directory=top) as session,
+            RunningSession(BOARD, *options, directory=top) as session,
             running("versions", "run", versions, "--key", key, "--inbox", space / "link"),
             running("apploader", "run", storages, "--inbox", space / "joystick"),
         ):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mcap.records import Metadata
 from ros2_peer import Ros2Peer, hash_of
-from running_session import RunningSession, assert_sound, eventually, tcp_port
+from running_session import BOARD, RunningSession, assert_sound, eventually, tcp_port
 
 from kontur_av.clock import NS_PER_S, MonotonicClock
 from kontur_av.codecs.h26x import H264Decoder
@@ -268,7 +268,7 @@ class Robot:
 
 def test_a_node_of_others_moves_the_robot_under_its_dead_man_button(start, tmp_path, monkeypatch):
     port = tcp_port()
-    session = start("taskboard", "--ros2", str(port), "--joystick", "ros2")
+    session = start(BOARD, "--ros2", str(port), "--joystick", "ros2")
     pids = session.pids()
     peer = Ros2Peer(port, {}, tmp_path)
     with session.bus(monkeypatch) as bus:

@@ -4,7 +4,7 @@ leg reaches the radio link."""
 import asyncio
 
 from partners import kept, pictures, receiving, send, sending, sounds, until
-from running_session import assert_nothing_lost_in_contact, restarted, tcp_port
+from running_session import SMALL, assert_nothing_lost_in_contact, restarted, tcp_port
 
 from benchmarks.page.footage import coded
 from kontur_av.codecs.h26x import H264Decoder
@@ -12,14 +12,6 @@ from kontur_av.rtp.feedback import rate_message
 from kontur_av.rtp.rtcp import RTCP_PSFB_PLI, RtcpPsfbPacket
 
 TOKEN = "word-of-the-partner"
-#: The streams of SpaceJustin with small pictures: three partners run in this process, too.
-SMALL = """
-cameras = ["head"]
-uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
-uplink_voice = {cap_kbps = 8}
-downlink_video = {cap_kbps = 512, size = "320x240", fps = 15}
-downlink_voice = {cap_kbps = 64}
-"""
 
 
 def test_no_trouble_of_a_partners_leg_reaches_the_link(start, tmp_path):

@@ -5,7 +5,7 @@ import sys
 
 from page_client import hand, visiting
 from positions import ROOT
-from running_session import RunningSession, eventually, tcp_port
+from running_session import BOARD, RunningSession, eventually, tcp_port
 
 from pipelines.session.mission_messages import ROBOT_TOPIC
 from pipelines.session.topic_ends import TopicReader
@@ -16,7 +16,7 @@ OPTIONS = ("--joystick", "page", "--page", str(tcp_port()))
 
 async def test_it_aims_three_times_and_hands_over_in_the_fourth(tmp_path, monkeypatch):
     said = tmp_path / "policy.txt"
-    with RunningSession("taskboard", *OPTIONS, directory=tmp_path) as session:
+    with RunningSession(BOARD, *OPTIONS, directory=tmp_path) as session:
         session.wait_for_flow()
         command = [sys.executable, str(SAMPLE)]
         with said.open("w") as out, session.bus(monkeypatch) as bus:

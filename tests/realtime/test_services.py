@@ -5,7 +5,7 @@ import socket
 import socketserver
 import threading
 
-from running_session import TIMEOUT_S, RunningSession, eventually, tcp_port
+from running_session import BOARD, TIMEOUT_S, RunningSession, eventually, tcp_port
 
 OCTETS = bytes(range(256)) * 8
 HOST = "127.0.0.1"
@@ -62,7 +62,7 @@ def test_programs_use_services_and_a_loss_of_signal_cuts_them_off(tmp_path):
         for name, port in ports.items():
             options += ["--service", f"{name}={port}"]
             options += ["--service-allow", f"{name}={HOST}:{echo.server_address[1]}"]
-        with RunningSession("taskboard", *options, directory=tmp_path) as session:
+        with RunningSession(BOARD, *options, directory=tmp_path) as session:
             session.wait_for_flow()
             with connected(ports["first"]) as first, connected(ports["second"]) as second:
                 first.sendall(OCTETS)

@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from running_session import alive, eventually, free_pair, restarted, tcp_port
+from running_session import BOARD, alive, eventually, free_pair, restarted, tcp_port
 
 from kontur_av.clock import MonotonicClock
 from pipelines.media.following import SELECTED_TOPIC
@@ -91,7 +91,7 @@ def test_each_process_is_killed_once(start, tmp_path, monkeypatch):
 
 
 def test_processes_end_with_a_killed_launcher(start):
-    session = start("taskboard")
+    session = start(BOARD)
     pids = session.pids()
     session.wait_for_flow()
     session.process.kill()
@@ -107,7 +107,7 @@ def is_part(pid):
 
 
 def test_ctrl_c_at_once_leaves_nothing(start):
-    session = start("taskboard")
+    session = start(BOARD)
     # Its first child is no process of the session, but a system program that looks for libopus.
     eventually(lambda: any(map(is_part, session.children())), "the first process")
     # On a busy machine it may have shown nothing for too long, which is a failure of its own.
@@ -124,7 +124,7 @@ def test_a_session_goes_on_when_another_program_fills_shared_memory(start):
     mounted = ("unshare", "-rm", "sh", "-c", own, "sh")
     if subprocess.run([*mounted, "true"], capture_output=True, check=False).returncode:
         pytest.skip("this machine permits no mount namespace")
-    session = start("taskboard", prefix=mounted)
+    session = start(BOARD, prefix=mounted)
     pids = session.pids()
     session.wait_for_flow()
     memory = Path(f"/proc/{pids['robot']}/root/dev/shm")

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 from mcap.reader import make_reader
-from running_session import eventually, restarted
+from running_session import BOARD, eventually, restarted
 
 from kontur_av.clock import NS_PER_MS
 from pipelines.hand.haptic_trace import DEAD_MAN
@@ -97,7 +97,7 @@ def test_tasks_are_done_or_aborted_whatever_is_killed(start, tmp_path, monkeypat
     plan, runs = tmp_path / "plan.toml", tmp_path / "runs"
     plan.write_text(PLAN)
     (tmp_path / "short.xml").write_text(TASKS)
-    session = start("taskboard", "--radio", "clean", "--plan", str(plan), "--runs", str(runs))
+    session = start(BOARD, "--radio", "clean", "--plan", str(plan), "--runs", str(runs))
     pids = session.pids()
     with session.bus(monkeypatch) as bus:
         watched = Watched(bus)

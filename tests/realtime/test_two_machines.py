@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from common import eventually, free_port
 from running_end import RunningEnd
+from running_session import BOARD, SMALL
 from two_hosts import GROUND_PUBLIC, PORT, TwoHosts
 
 from pipelines.link.relay import PathRelay
@@ -33,7 +34,7 @@ def start_end(hosts, keys, tmp_path):
             where = ("--listen", f"0.0.0.0:{PORT}") if end == "ground" else ("--peer", at)
             return stack.enter_context(
                 RunningEnd(
-                    *("spacejustin", end, *where, "--key", keys[end]),
+                    *(SMALL, end, *where, "--key", keys[end]),
                     directory=tmp_path / f"{end}{time.monotonic_ns()}",
                     prefix=hosts.prefix(end),
                 )
@@ -101,7 +102,7 @@ def test_a_session_follows_what_a_network_carries_that_loses_and_reorders(keys, 
         for name, option, port in where:
             words = ("--path", "compact", "--path-batch-ms", "4", "--key", keys[name])
             words = (option, f"127.0.0.1:{port}", *words)
-            end = RunningEnd("taskboard", name, *words, directory=tmp_path / name)
+            end = RunningEnd(BOARD, name, *words, directory=tmp_path / name)
             ends[name] = stack.enter_context(end)
             # It has its ports, so that the other end takes others.
             end.pids()

@@ -30,7 +30,7 @@ class Composition:
     layout: `merged`, as stereo is; `beside`, each in half the width; or `inset`, the second one in
         a corner.
     share: of an inset: its sides as a share of the picture's, 0.05 to 0.5.
-    corner: of an inset: upper left, upper right, lower left or lower right.
+    corner: of an inset: upper or lower, left or right.
     """
 
     compose: tuple[str, ...]

@@ -67,17 +67,14 @@ class VideoStream:
     cap_bps: the most RTP payload in any second; 20 to 20000 kbit/s. With `deadband = "picture"` up
         to twice as much.
     width: width and height of the pictures, both even.
-    fps: pictures a second of its cameras, 1 to 120. As many are coded as the cap has bits for
-        (`coded_hz`).
+    fps: pictures a second of its cameras, 1 to 120. As many are coded as the cap has bits for.
     prefer: "latency" codes more and smaller pictures of a fast camera.
     stale_after_ms: older pictures are marked as stale. By default the radio's longest delay, 100 ms
         and four periods together.
-    coded: the size in which pictures are coded, as (width, height); by default the largest for
-        which the cap has bits. They are shown in the stream's size.
+    coded: the size in which pictures are coded; default: the largest for which the cap has bits.
     codec: `h264`, or `h265` for a better picture at more computing.
-    least_fps: so many pictures a second are sent at least, also for repair or a slow path.
-    least_cap_bps: the cap falls to it where the path between two machines carries less; default:
-        a third of the cap.
+    least_fps: pictures a second that are sent at least, also for repair or a slow path.
+    least_cap_bps: the cap on a path between two machines that carries less; default: a third of it.
     """
 
     name: str
@@ -240,7 +237,7 @@ class Playback:
     """By end: the loudspeaker that plays its voice; None: it is silent. See `loudspeaker`.
 
     ground: of `downlink_voice`: default, alsa:DEVICE or pulse:SINK; without it silent.
-    space: the same of `uplink_voice`, which the operator hears.
+    space: the same of `uplink_voice`.
     """
 
     ground: str | None = None
@@ -251,46 +248,39 @@ class Playback:
 class Setup:
     """A telepresence session: its cameras, its streams and their caps, its link and its radio.
 
-    name: in reports; of a file its name by default.
+    name: in reports; default: the file's.
     cameras: what the operator can select; the first is on at the start. `stereo` is merged from the
         inputs `left` and `right`; any other (1 to 10 printable ASCII characters) is the input of
         that name, or one of `composed`.
     composed: by their names, cameras that show two inputs in one picture (docs/cameras.md).
-    sources: for each input its source, as on the command line (docs/cameras.md).
-    radio: how the radio delays and loses frames: a built-in profile, or a file
-        (docs/simulation.md#the-radio).
-    radio_delay_ms: a fixed delay of the `cable`, one way, both ways alike.
-    deadband: unless `off`, haptic samples that nobody would miss are left out; the uplink video
-        gets a higher rate, or a lower delay (docs/haptics.md).
-    repair: what restores lost frames: idle slots; with `auto` at losses also the room of pictures
-        left out (docs/architecture.md#the-link). `auto` goes without where there is no room, or
-        the other end does not know it.
-    path: between two machines: one length of datagram for every slot, or without what is idle
-        (docs/two-machines.md).
-    path_batch_ms: a datagram has the frames of so many ms: 1, 2 or 4.
-    hand: what the operator feels: the robot's delayed force (`direct`); a wall rendered at the
-        joystick (`mediated`); that wall, and directly what it does not explain (`auto`); `auto`
-        from a round trip of 60 ms on (`adaptive`) (docs/haptics.md).
+    sources: by input its source (docs/cameras.md).
+    radio: a profile, built in or a file (docs/simulation.md#the-radio).
+    radio_delay_ms: of the `cable`, one way.
+    deadband: what samples left out give the uplink video (docs/haptics.md).
+    repair: what restores lost frames (docs/architecture.md#the-link). `auto` goes without where
+        there is no room, or the other end does not know it.
+    path: the datagrams between two machines (docs/two-machines.md).
+    path_batch_ms: the frames of 1, 2 or 4 ms are in one of these.
+    hand: what the operator feels (docs/haptics.md).
     force: `none`: the hand feels nothing. Commands go at `command_hz`, the robot's state at 50 Hz,
         and pictures get the room.
     command_hz: commands a second with `force = "none"`, 50 to 250.
-    press_ratio: on a rendered wall the robot presses at most so many times as hard as the hand
-        feels, 1 to 10, and 2 N more; with `direct`, soon no harder (docs/haptics.md).
+    press_ratio: how many times as hard as the hand feels the robot may press on a rendered wall,
+        1 to 10 (docs/haptics.md).
     axes: what the hand moves, of x, y, z, roll, pitch, yaw, gripper and up to three of the robot's
-        own. Each behind x and y makes the samples 5 octets longer, so frames must be, too.
+        own. Each behind x and y takes 5 octets of each frame.
     axis: tables of what there is to say of one of these.
     rtc: the leg to a partner across the Internet; None: there is none.
     partner_arm: what a partner's joystick may drive (docs/webrtc.md).
-    tasks: a live session has tasks, which people select and do (docs/ground-control.md).
+    tasks: whether a live session has tasks (docs/ground-control.md).
     safety: when the robot may follow the hand, and how fast (docs/safety.md).
     marks: what stands in the robot's workspace, by name, for the maps of the pages. With any, or
         with a robot of one's own, they show these instead of the built-in task board.
     playback: where the operator in space, and the ground, hear the voice.
-    recorded_cameras: cameras in a recording: all at their full rate, or at 5 Hz while no stream
-        carries them; `auto` by the disk (docs/recordings.md).
+    recorded_cameras: as `--record-cameras`; `auto` by the disk (docs/recordings.md).
     region: what of the uplink video is coded finer where no person says: the robot's tip.
-    region_points: by camera of your own, the corners of the task board in its pictures: upper left,
-        upper right, lower right, lower left; (x, y) in pixels.
+    region_points: by camera of your own, the corners of the task board in its pictures, in pixels:
+        upper left, upper right, lower right, lower left.
     base_port: the first of the 40 UDP ports on loopback.
     """
 

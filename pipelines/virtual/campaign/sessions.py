@@ -225,8 +225,7 @@ def add_place_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(
         parser,
         "--jobs N <int>  runs at a time (default: one for each processor)",
-        "--cluster tcp://HOST:PORT  let the workers of this Dask scheduler do the runs "
-        "(docs/simulation.md)",
+        "--cluster tcp://HOST:PORT  by the workers of this Dask scheduler",
     )
 
 

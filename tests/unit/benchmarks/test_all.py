@@ -76,8 +76,8 @@ def test_the_page_shows_median_spread_command_machines_groups_and_failures():
     failed = replace(RECORD, headlines=headlines, failure="a claim does not hold")
     other = replace(failed, number=2, machine=replace(MACHINE, cpu="Other CPU"), failure="")
     text = page([failed, other], folder="x")
-    assert "| a\\|b | median |\n|---|--:|\n| one | 3 |" in text
-    assert "| two, µs | – |" in text
+    assert "a\\|b:\n\n- one: 3\n" in text
+    assert "- two, µs: –\n" in text
     assert "**Run 1 failed: a claim does not hold**" in text
     assert "Other CPU" in text
 

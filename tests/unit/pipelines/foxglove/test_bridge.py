@@ -25,13 +25,24 @@ from pipelines.foxglove.client import MOST_AGE_NS
 from pipelines.media.key_picture_maker import key_of
 from pipelines.mission.tmtc_messages import CommandUpdate
 from pipelines.recording.channels import sources_of
-from pipelines.recording.recorded_messages import RecordedPicture, UnitMetadata, unpack
+from pipelines.recording.recorded_messages import (
+    RecordedPacket,
+    RecordedPicture,
+    UnitMetadata,
+    unpack,
+)
 from pipelines.recording.session_messages import Instants
 from pipelines.session.session_metrics import Event, SessionNews
 from pipelines.session.setup.segments import Segment
 from pipelines.session.setup.setup_file import BUILT_IN
 from pipelines.table import topology_of
 from telepresence.tmtc.pus.dictionary_file import built_in_dictionary
+from telepresence.tmtc.pus.packets import Telecommand, Telemetry, pack_packet
+from telepresence.tmtc.pus.verification import (
+    Verification,
+    VerificationStage,
+    pack_verification,
+)
 
 TOPOLOGY = topology_of(BUILT_IN["spacejustin"])
 SOURCES = {source.topic: source for source in sources_of(TOPOLOGY)}
@@ -127,6 +138,16 @@ def test_who_joins_late_begins_with_a_key_picture_of_which_others_hear_nothing(b
     assert of_late[2:] == of_first[22:]
 
 
+def test_after_missed_units_clients_begin_anew(bridge):
+    client, shown = joined(bridge, VIDEO), []
+    for unit, stamp, key in units(30):
+        if not 10 <= stamp.sequence < 13:
+            show(bridge, unit, stamp, key)
+            shown.append(len(taken(bridge, client)))
+    # The first one behind the gap waits for the next, at which a key picture is asked for.
+    assert shown == [1] * 10 + [0] + [1] * 16
+
+
 def test_after_a_refused_unit_of_hevc_clients_begin_again_with_the_next_key_picture(bridge):
     reader = joined(bridge, VIDEO)
     coder = H265Encoder(width=160, height=128, fps=30, cap_bps=200_000, refresh_s=60)
@@ -183,6 +204,20 @@ def test_metrics_and_events_come_whole_to_who_joins_late(bridge):
 
 def call(service, text, number=9):
     return struct.pack("<BIII", 2, service, number, 4) + b"json" + text.encode()
+
+
+def test_a_report_names_a_telecommand_whose_channel_nobody_reads(bridge):
+    client = joined(bridge, "/telemetry/ground/sent")
+    command = Telecommand(apid=0x120, count=5, service=8, subtype=1, data=b"\3")
+    done = pack_verification(Verification(0x120, 5, VerificationStage.COMPLETED))
+    report = Telemetry(apid=0x120, count=9, service=1, subtype=7, data=done)
+    assert {"tc/ground/received", "tm/ground/sent"} <= {one.topic for one in bridge.wanted}
+    for topic, packet in (("tc/ground/received", command), ("tm/ground/sent", report)):
+        stamp = CaptureStamp(NS_PER_S, 0, topic)
+        octets = pack_packet(packet)
+        bridge.handle_sample(SOURCES[topic], octets, stamp, Instants(NS_PER_S, NS_PER_S))
+    ((_, _, data),) = taken(bridge, client)
+    assert unpack(RecordedPacket, data).what == "PUS 1,7 joystick: stop: completed"
 
 
 def test_a_service_is_a_telecommand_that_who_only_watches_may_not_send(bridge):

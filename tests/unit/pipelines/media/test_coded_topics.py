@@ -152,24 +152,45 @@ def test_who_joins_a_sender_gets_what_was_filmed_for_its_newest_unit():
     assert [stamp.sequence for unit, stamp in topic.published if not unit.added] == [*range(15)]
 
 
-def test_who_joins_a_receiver_gets_its_newest_picture_also_while_nothing_comes():
+def test_a_sender_that_heals_its_stream_is_asked_for_a_key_picture_if_somebody_has_just_joined():
+    topic = Topic()
+    sent = SentTopic(topic, "video", "topic")
+    asked = []
+    for number in range(200):
+        if number == 60:
+            topic.join()
+        stamp = CaptureStamp(number * PERIOD_NS, number, "test")
+        heals = number in (50, 70, 190)
+        unit = AccessUnit(b"\0\0\0\1\x41x", stamp, number == 0, "h264", heals)
+        if sent.handle_unit(unit, (160, 120), empty_picture(320, 240)):
+            asked.append(number)
+    assert asked == [70]
+
+
+@pytest.mark.parametrize(("damaged", "taken"), [((), 3), ((3,), 4), (range(6), 4)])
+def test_who_joins_a_receiver_gets_its_newest_exact_picture_unless_it_is_late(damaged, taken):
+    """The second one joins behind the third unit. damaged: numbers of pictures."""
     topic = Topic()
     owner = ReceivedTopic(topic, "video", "topic")
     encoder, decoder = H264Encoder(width=160, height=120, fps=30, cap_bps=200_000), H264Decoder()
     topic.join()
-    for number in range(4):
+    for number in range(6):
+        if number == 3:
+            topic.join()
         pixels = empty_picture(160, 120)
         pixels[:] = 100 + 10 * number
         unit = encoder.encode(VideoFrame(pixels, CaptureStamp(number, number, "test")))
-        shown = CaptureStamp(number, number, "test", rtp_timestamp=number)
+        quality = Quality.DAMAGED if number in damaged else Quality.FRESH
+        shown = CaptureStamp(number, number, "test", quality, rtp_timestamp=number)
         # The last one has no picture.
-        for picture in decoder.decode(unit.data, number) if number < 3 else ():
+        for picture in decoder.decode(unit.data, number) if number < 5 else ():
             owner.handle_picture(picture, shown)
-        came = ReceivedUnit(unit.data, number, unit.keyframe, False, 0, number, number)
+        now_ns = 9 * NS_PER_S + number * PERIOD_NS
+        came = ReceivedUnit(unit.data, number, unit.keyframe, False, 0, now_ns, now_ns)
         assert not owner.handle_unit(came, number)
-    topic.join()
-    ((number, mean),) = key_pictures(topic, owner, NS_PER_S, 1)
-    assert number == 2 and mean == pytest.approx(120, abs=2)
-    key, _ = topic.published[-1]
+    due_s = 13 if damaged == range(6) else 10
+    ((number, mean),) = key_pictures(topic, owner, due_s * NS_PER_S, 1)
+    assert number == taken and mean == pytest.approx(100 + 10 * taken, abs=2)
+    (key, _) = next(one for one in topic.published if one[0].added)
     assert (key.key, key.damaged, key.refused, key.width) == (True, False, False, 160)
     assert key.parameter_sets == topic.published[0][0].parameter_sets != b""

@@ -113,11 +113,21 @@ def test_an_idr_picture_is_a_beginning_and_refused_units_are_withheld(stream):
     topic = Topic(stream)
     assert numbers(topic.give(0).begin) == [0]
     topic.give(1)
-    assert topic.give(2, refused=True) == (None, (), [])
+    assert topic.give(2, refused=True) == (None, (), [], False)
     assert numbers(topic.key(1).begin) == [1]
     assert topic.give(3, waits=False).live.data.startswith(topic.sets)
     assert topic.give(4, waits=False).live.data == stream[4][0].data
     assert not topic.give(0, damaged=True).begin
+
+
+def test_where_units_were_missed_decoders_begin_anew_unless_with_a_key_picture(stream):
+    topic, sequence = Topic(stream), Topic(stream, JoinedSequence())
+    for number, missed in ((0, False), (1, False), (40, True), (41, False)):
+        assert topic.give(number, waits=False).anew == sequence.give(number).anew == missed
+    assert sequence.joined.poll_ask(NS_PER_S)
+    assert numbers(sequence.key(41).begin) == [41]
+    assert sequence.give(42).live.stamp.sequence == 42
+    assert not sequence.give(0).anew and not sequence.joined.poll_ask(NS_PER_S)
 
 
 def test_a_key_picture_is_asked_for_at_once_and_again_each_second_until_it_comes(stream):

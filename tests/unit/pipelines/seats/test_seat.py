@@ -145,6 +145,12 @@ def test_who_joins_is_sent_a_key_picture_and_the_units_since_and_draws_only_the_
     assert page.units() == [(2, 5)]
     space.give_unit(6, key=True)
     assert page.units() == [(1, 6)]
+    # The seat itself has missed some.
+    space.give_unit(9)
+    assert page.units() == [] and 0 in space.seat.media.poll_asks(0)
+    space.give_unit(9, key=True, added=True)
+    space.give_unit(10)
+    assert page.units() == [(1, 9), (0, 10)]
 
     # Every page gets sound, haptics and previews.
     pages = [ground.open(Role.VIEWER, unread=False) for _ in range(2)]
