@@ -451,16 +451,19 @@ class Simulation:
     def _advance(self, until_ns: int) -> None:
         """All that happens up to `until_ns` beside the slots and the haptic cycles."""
         up_timeout, down_timeout, agenda = self._up_timeout, self._down_timeout, self._agenda
+        up_ns, down_ns = up_timeout(), down_timeout()
         while True:
             next_ns = agenda.next_ns
             earliest_ns = next_ns if next_ns <= until_ns else until_ns
-            up_ns, down_ns = up_timeout(), down_timeout()
             if up_ns is not None and up_ns <= earliest_ns and (down_ns is None or up_ns <= down_ns):
                 self._carry(self._poll_up(up_ns), self._space, self._samples_up, up_ns)
+                up_ns = up_timeout()
             elif down_ns is not None and down_ns <= earliest_ns:
                 self._carry(self._poll_down(down_ns), self._ground, self._samples_down, down_ns)
+                down_ns = down_timeout()
             elif next_ns <= until_ns:
                 agenda.do_next()
+                up_ns, down_ns = up_timeout(), down_timeout()
             else:
                 return
 

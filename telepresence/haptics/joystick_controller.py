@@ -208,7 +208,7 @@ class JoystickController(PortController):
         """Return the robot's force (N, N), nearer to what the credit can fade; and its change."""
         rate, gx, gy = self.rate_n_s, self._gx, self._gy
         goal_x, goal_y = self._goal_x, self._goal_y
-        if self.passive:
+        if self.passive and (goal_x or goal_y):
             goal, now = sqrt(goal_x * goal_x + goal_y * goal_y), sqrt(gx * gx + gy * gy)
             outward = (gx * vx + gy * vy) / now if now > 0.0 else 0.0
             credit_j, most_j = self.port.credit_j, self.most_j
@@ -231,9 +231,10 @@ class JoystickController(PortController):
             change = rate * dt_s
         gx += change_x
         gy += change_y
-        lacking_x, lacking_y = self._goal_x - gx, self._goal_y - gy
-        if lacking_x * lacking_x + lacking_y * lacking_y < _RETURNED_N * _RETURNED_N:
-            self._regaining = False
+        if self._regaining:
+            lacking_x, lacking_y = self._goal_x - gx, self._goal_y - gy
+            if lacking_x * lacking_x + lacking_y * lacking_y < _RETURNED_N * _RETURNED_N:
+                self._regaining = False
         return gx, gy, change
 
     def _payable(

@@ -7,18 +7,11 @@ import pytest
 from browser import LIVE, eventually
 from positions import ROOT
 from robot_tip import Tip
-from running_session import RunningSession
+from running_session import SEAT, RunningSession
 
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 
 IWER = ROOT / ".ci" / "web" / "node_modules" / "iwer" / "build" / "iwer.min.js"
-SETUP = """
-cameras = ["static"]
-[uplink_video]
-cap_kbps = 90
-size = "320x240"
-fps = 15
-"""
 #: A worn headset, and what its right controller does: `squeeze`, and 2 mm a frame to `right`.
 WORN = """
 window.device = new IWER.XRDevice(IWER.metaQuest3);
@@ -44,7 +37,7 @@ def session(tmp_path):
     if not IWER.exists():
         pytest.skip("iwer: npm --prefix .ci/web install")
     options = ("--page", "24100", "--joystick", "page")
-    with RunningSession(SETUP, *options, directory=tmp_path) as running:
+    with RunningSession(SEAT, *options, directory=tmp_path) as running:
         yield running
 
 

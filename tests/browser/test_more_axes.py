@@ -3,23 +3,14 @@
 import pytest
 from browser import eventually
 from mcap.reader import make_reader
-from running_session import RunningSession
+from running_session import SEAT, RunningSession
 from selenium.webdriver import ActionChains
 
 from pipelines.hand.hand_topics import JOYSTICK_STATE_TOPIC
 from pipelines.hand.haptic_trace import ROBOT_TRACE_TOPIC, rows_of
 from pipelines.recording.recorded_messages import unpack_haptics
 
-SETUP = """
-cameras = ["static"]
-axes = ["x", "y", "z", "gripper"]
-[uplink_video]
-cap_kbps = 90
-size = "320x240"
-fps = 15
-[uplink]
-frame_octets = 48
-"""
+SETUP = SEAT + 'axes = ["x", "y", "z", "gripper"]\nuplink = {frame_octets = 48}\n'
 SLIDERS = "document.querySelectorAll('axis-sliders input')"
 
 

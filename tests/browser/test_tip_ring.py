@@ -7,15 +7,11 @@ from math import dist, inf
 import pytest
 from browser import LIVE, eventually
 from robot_tip import Tip
-from running_session import RunningSession
+from running_session import SEAT, RunningSession
 from selenium.webdriver import ActionChains
 
 from pipelines.media.following import board_view
 
-SETUP = """
-cameras = ["static"]
-uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
-"""
 MAP = ".workspace-map"
 #: Two places on the page are the same, or clearly not.
 NEAR_PX, FAR_PX = 4, 12
@@ -107,7 +103,7 @@ def sit(tmp_path, start_browser, monkeypatch):
 
         def start(*options):
             words = ("--page", "24180", "--joystick", "page", *options)
-            session = stack.enter_context(RunningSession(SETUP, *words, directory=tmp_path))
+            session = stack.enter_context(RunningSession(SEAT, *words, directory=tmp_path))
             bus = stack.enter_context(session.bus(monkeypatch))
             page = start_browser(size=(1280, 900)).open(session.pages()["space"])
             return Seat(session, bus, page)

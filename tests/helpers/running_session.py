@@ -34,7 +34,8 @@ from pipelines.cli import main
 sys.exit(main())
 """
 SESSION_COMMAND = (sys.executable, "-c", _SESSION)
-#: The task board and the streams of SpaceJustin, with pictures that cost less.
+#: A seat, the task board and the streams of SpaceJustin, with pictures that cost less.
+SEAT = 'cameras = ["static"]\nuplink_video = {cap_kbps = 90, size = "320x240", fps = 15}\n'
 BOARD = """
 cameras = ["stereo", "static"]
 uplink_video = {cap_kbps = 90, size = "320x240", fps = 15}

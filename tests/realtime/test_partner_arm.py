@@ -10,9 +10,9 @@ from urllib.request import Request, urlopen
 
 import pytest
 from programs import running
-from running_session import COMMAND, TIMEOUT_S, eventually, restarted, tcp_port
+from running_session import COMMAND, SEAT, TIMEOUT_S, eventually, restarted, tcp_port
 
-_SHORT = 'cameras = ["head"]\npartner_arm = "{arm}"\n[uplink_video]\ncap_kbps = 85\n'
+_SHORT = SEAT + 'partner_arm = "ARM"\n'
 
 
 def authority(session, *words):
@@ -47,7 +47,7 @@ class Partner(contextlib.ExitStack):
 
 
 def test_the_port_goes_to_the_partner_and_back_and_outlives_desk_and_robot(start, tmp_path):
-    session = start(_SHORT.format(arm="shared"))
+    session = start(_SHORT.replace("ARM", "shared"))
     pids = session.pids()
     session.wait_for_flow()
     eventually(
@@ -87,7 +87,7 @@ def across(tmp_path):
 
 def test_one_joystick_drives_across_the_internet_until_the_owner_takes_the_robot(start, tmp_path):
     options, _, words = across(tmp_path)
-    session = start(_SHORT.format(arm="shared"), *options)
+    session = start(_SHORT.replace("ARM", "shared"), *options)
     session.wait_for_flow()
     hand_over(session, "partner")
     viewer = (*words[:2], "--token-file", str(tmp_path / "seen"))
@@ -115,7 +115,7 @@ def test_one_joystick_drives_across_the_internet_until_the_owner_takes_the_robot
 
 def test_a_second_arm_is_the_partners_own_across_the_internet(start, tmp_path):
     options, url, words = across(tmp_path)
-    session = start(_SHORT.format(arm="second"), *options)
+    session = start(_SHORT.replace("ARM", "second"), *options)
     pids = session.pids()
     session.wait_for_flow()
     with Partner(

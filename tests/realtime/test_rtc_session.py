@@ -19,7 +19,7 @@ def test_no_trouble_of_a_partners_leg_reaches_the_link(start, tmp_path):
     token.write_text(TOKEN)
     units, uplink = coded(50), []
     session = start(
-        SMALL,
+        SMALL.replace('"static", ', ""),
         *("--rtc", str(port), "--rtc-token-file", str(token), "--record", "rtc.mcap"),
     )
     session.wait_for_flow()

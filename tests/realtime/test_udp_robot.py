@@ -11,22 +11,15 @@ import pytest
 from common import free_port
 from mcap.reader import make_reader
 from robot_tip import Tip
-from running_session import eventually
+from running_session import SEAT, eventually
 
 from kontur_av.clock import MonotonicClock
 from pipelines.hand.driver_checks import RobotCheck
 from telepresence.haptics.specs import load_robot
 
 SOURCE = Path(__file__).resolve().parents[2] / "samples" / "udp_robot.c"
-#: The task board. An old picture holds no robot here: how busy the machine is is another test's.
-SETUP = """
-cameras = ["static"]
-[uplink_video]
-cap_kbps = 90
-[safety]
-picture_max_age_s = 100
-picture_hold_s = 100
-"""
+#: An old picture holds no robot here: how busy the machine is is another test's.
+SETUP = SEAT + "safety = {picture_max_age_s = 100, picture_hold_s = 100}\n"
 FLAGS = ("-O2", "-std=c11", "-Wall", "-Wextra", "-Werror")
 
 
