@@ -14,7 +14,7 @@ from running_session import COMMAND, RunningSession
 from pipelines.hand.haptic_trace import CONTACT, JOYSTICK_TRACE_TOPIC, rows_of
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "own_robot.py"
-LAB = 'cameras = ["head"]\npartner_arm = "board"\n[uplink_video]\ncap_kbps = 85\nsize = "320x240"\n'
+LAB = 'cameras = ["head"]\npartner_arm = "board"\n[uplink_video]\ncap_kbps = 85\n'
 #: The partner's robot: a mass on a spring, so each motion of it is felt, wherever it begins.
 ROBOT = """
 from own_robot import Mass
