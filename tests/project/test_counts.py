@@ -35,7 +35,7 @@ COUNTS = (
     ("modules in the root of pipelines", modules_in_the_root, 6),
     ("names that `import kontur_av` gives", lambda: len(kontur_av.__all__), 20),
     ("lines of benchmarks", lambda: lines_of_code("benchmarks"), 7000),
-    ("lines of tests", lambda: lines_of_code("tests"), 68_950),
+    ("lines of tests", lambda: lines_of_code("tests"), 69_000),
     ("lines of pipelines/bench", lambda: lines_of_code("pipelines/bench"), 3300),
     ("lines of pipelines/bench/video", lambda: lines_of_code("pipelines/bench/video"), 1300),
 )
