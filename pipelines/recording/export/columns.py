@@ -140,7 +140,9 @@ def _one_row(message: JoinedMessage) -> tuple[list[int], Rows]:
             session_ns = value
         if row.name in _INSTANTS or row.type == TIMESTAMP:
             continue
-        if row.repeated:
+        if row.repeated and row.type not in {each.name for each in schema.nested}:
+            _add(rows, row.name, "string", " ".join(map(str, value)))
+        elif row.repeated:
             rows |= _nested(schema, row.type, row.name, value)
         else:
             _add(rows, row.name, row.type, value, picture=schema.package == "foxglove")
