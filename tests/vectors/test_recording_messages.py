@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from kontur_av.errors import ProtocolError
+from pipelines.recording.export.columns import Columnizer
+from pipelines.recording.joined import JoinedMessage
 from pipelines.recording.recorded_messages import (
     SAMPLE,
     SCHEMAS,
@@ -191,6 +193,10 @@ def test_golden(text, value):
     octets = bytes.fromhex(text.replace("|", ""))
     assert pack(value) == octets
     assert unpack(type(value), octets) == value
+    # Whatever repeats in it, it is a row of a table.
+    message = JoinedMessage("/topic", value.schema.full_name, 0, 0, 0, octets, 0)
+    rows = Columnizer(0).rows(message)
+    assert {len(column) for column in rows.values()} == {len(rows["time_s"])}
 
 
 def test_golden_haptic_samples():
