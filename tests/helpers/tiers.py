@@ -22,7 +22,7 @@ class Lane(enum.IntEnum):
 
     MACHINE = 0  #: Real processes that need the machine.
     WAITS = 1  #: Real processes that mostly wait, and programs of others.
-    ANY = 2  #: Asks no clock: in any worker at any time, at the lowest priority.
+    ANY = 2  #: No processes: in any worker at any time, at the lowest priority.
 
 
 @dataclass(frozen=True)
@@ -65,19 +65,12 @@ _JOURNEYS = {
         test_send_receive.py::test_we_play_what_gstreamer_sends[h264-none]
         """,
 }
-#: Modules of tests/realtime that mostly wait. One of them has a whole session: with more, this lane
-#: would end after that of sessions, and what has the machine alone would wait for it.
+#: Modules of tests/realtime that mostly wait. None has a whole session, or this lane would go on
+#: for minutes after the other one.
 _WAITING = """
-    test_bench_all_run test_bench_children test_bench_console test_bench_video_run
-    test_command_output test_fresh_process test_launcher test_link_command test_local_sockets
-    test_loudspeaker test_media_parts test_plain_rtp test_process_ends test_readme_commands
-    test_recipes test_remote_update test_rtc_peers test_rtc_transport test_sessions
-    test_sources_live test_stream_ends test_topics.py test_upkeep test_web_sockets
-    test_whip_client
-"""
-#: Modules of tests/interop without a clock: what others compute, read or write.
-_COMPUTING = """
-    test_cfdp_py test_exports test_files_ffmpeg test_foreign_streams test_xtce_decoder
+    test_bench_all_run test_bench_children test_bench_console test_command_output
+    test_fresh_process test_launcher test_loudspeaker test_readme_commands test_recipes
+    test_rtc_peers test_upkeep test_whip_client
 """
 
 #: Long courses on virtual time.
@@ -101,7 +94,6 @@ TABLE = (
     *_rows(Lane.MACHINE, False, "realtime/", "test_foxglove test_ros2", alone=True),
     *_rows(Lane.WAITS, False, "interop/"),
     *_rows(Lane.WAITS, False, "realtime/", _WAITING),
-    *_rows(Lane.ANY, False, "interop/", _COMPUTING),
     *_rows(Lane.ANY, False, "sim/", _LONG),
     *_rows(Lane.ANY, False, "", _PACKAGES),
     *(row for room, names in _JOURNEYS.items() for row in _rows(Lane.MACHINE, True, room, names)),
@@ -156,9 +148,8 @@ def pytest_xdist_make_scheduler(config, log):
             lane = row_of(nodeid).lane
             if lane is not Lane.ANY:
                 return lane.name
-            # Simulations of one file share their runs, and films those that were coded.
-            whole = nodeid.startswith(("tests/sim/", "tests/interop/"))
-            return nodeid.partition("::")[0] if whole else nodeid
+            # Simulations of one file share their runs.
+            return nodeid.partition("::")[0] if nodeid.startswith("tests/sim/") else nodeid
 
     return Lanes(config, log)
 

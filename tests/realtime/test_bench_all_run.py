@@ -41,7 +41,7 @@ def test_existing_runs_are_kept_and_missing_ones_are_made(bench, tmp_path, capsy
         *(f"cpu-{number}.json" for number in (1, 2, 3)),
         "haptics-1.json",
     ]
-    assert "| x, ms | 1.50 |" in write.read_text()
+    assert "\n- x, ms: 1.50\n" in write.read_text()
     (tmp_path / "page" / "cpu-2.json").unlink()
     assert main(words) == 0
     assert bench() == LIVE_RUNS + 2
