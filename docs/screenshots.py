@@ -176,9 +176,10 @@ def _take(page: Page, name: str, theme: str, *, feel: bool = True) -> None:
         if feel:
             _feel(page)
         page.wait(_LIVE)
+        # Before, because taking it stalls the page, too.
+        felt = not feel or page.run(f"return {_FELT}")
         told = driver.execute_cdp_cmd("Page.captureScreenshot", {"optimizeForSpeed": True})
-        # Taking it stalls the page, too.
-        if not feel or page.run(f"return {_FELT}"):
+        if felt:
             break
     else:
         sys.exit(f"{name}: the page lets go of the handle each time: the machine is too busy")

@@ -111,7 +111,8 @@ def test_missing_or_wrong_elements_are_refused_when_the_file_is_read(load, tmp_p
 
 def test_the_annotated_profile_of_the_document_has_every_field(tmp_path):
     text = DOCUMENT.read_text(encoding="utf-8")
-    (block,) = re.findall(r"^```toml\n(# mine-radio\.toml\n.*?)^```", text, re.MULTILINE | re.DOTALL)
+    found = re.findall(r"^```toml\n(# mine-radio.toml\n.*?)^```", text, re.MULTILINE | re.DOTALL)
+    (block,) = found
     # Without a file of one's own, its line is a comment.
     table = tomllib.loads(block.replace("# elements", "elements"))
     assert set(table) == {field.name for field in fields(RadioProfile)} | {"base"}
