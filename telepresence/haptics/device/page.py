@@ -176,8 +176,8 @@ class PageDevice(Mechanics):
 
     @property
     def picture_ns(self) -> int:
-        """As the newest input has it."""
-        return NO_PICTURE if self._newest is None else self._newest.picture_ns
+        """As the newest input has it while the button is held: a page is silent afterwards."""
+        return self._newest.picture_ns if self._newest and self._pressed else NO_PICTURE
 
     @property
     def _asked(self) -> bool:
