@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from running_session import BOARD, alive, eventually, free_pair, restarted, tcp_port
+from running_session import BOARD, SMALL, alive, eventually, free_pair, restarted, tcp_port
 
 from kontur_av.clock import MonotonicClock
 from pipelines.media.following import SELECTED_TOPIC
@@ -37,20 +37,14 @@ LINES = {
     "ground_gateway": HAPTICS,
     "space_gateway": HAPTICS,
 }
-#: As many processes as SpaceJustin, and small pictures, for their rate is no matter here.
-SMALL = """
-cameras = ["stereo", "head"]
-uplink_video = {cap_kbps = 85, size = "320x240", fps = 15}
-uplink_voice = {cap_kbps = 8}
-downlink_video = {cap_kbps = 512, size = "320x240", fps = 15}
-downlink_voice = {cap_kbps = 64}
-"""
+#: As many processes as SpaceJustin has.
+STEREO = SMALL.replace('"static"', '"stereo"')
 
 
 def test_each_process_is_killed_once(start, tmp_path, monkeypatch):
     """The table says which there are: all but those of partners and of optional packages."""
     session = start(
-        *(SMALL, "--page", "8330", "--tasks", "--record", "run.mcap", "--trainer"),
+        *(STEREO, "--page", "8330", "--tasks", "--record", "run.mcap", "--trainer"),
         *("--files", str(tmp_path / "files"), "--foxglove", str(tcp_port())),
         *("--packets", f"tcp:{tcp_port()}", "--frames", f"udp:127.0.0.1:{free_pair()}"),
     )
