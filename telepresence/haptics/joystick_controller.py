@@ -41,9 +41,11 @@ class JoystickControllerModel:
     force_scale: displayed force over the robot's force.
     damping_n_s_m, most_damping_n_s_m: damping that the hand feels while the credit is whole, and
     while it lacks. The energy that it takes out of the hand moves the robot and pays for its force.
-    press_damping_n_s_m: as the latter, while the hand moves against the force of a contact. What a
-    delay costs is a damping of the wall's stiffness times the round trip.
-    damping_s: time constant with which the damping follows the credit.
+    press_damping_n_s_m, leave_damping_n_s_m: as the latter, while the hand moves against the force
+    of a contact, and with it. What a delay costs is a damping of the wall's stiffness times the
+    round trip.
+    damping_s: time constant with which the damping follows the credit. A hand that still swings
+    after it has hit a wall gives energy for a tenth of a second or two.
     starved_s: the damping stays this long after the robot's credit has lacked.
     rate_n_s, damping_rate_n_s: fastest change of the displayed force and of the damping force.
     relax_s: time constant with which the force decays without samples.
@@ -60,7 +62,8 @@ class JoystickControllerModel:
     damping_n_s_m: float = 4.0
     most_damping_n_s_m: float = 20.0
     press_damping_n_s_m: float = 100.0
-    damping_s: float = 0.2
+    leave_damping_n_s_m: float = 60.0
+    damping_s: float = 0.02
     starved_s: float = 1.0
     rate_n_s: float = 800.0
     damping_rate_n_s: float = 250.0
@@ -306,9 +309,11 @@ class JoystickController(PortController):
         """Return the damping force (N, N), which changes by `most` (N) at most."""
         model, damping, bx, by = self.model, self.damping_n_s_m, self._bx, self._by
         least, out = model.damping_n_s_m, self._out
-        if out is not None and damping > least and out[0] * vx + out[1] * vy < 0.0:
+        if out is not None and damping > least:
+            presses = out[0] * vx + out[1] * vy < 0.0
             lack = (damping - least) / (model.most_damping_n_s_m - least)
-            damping += lack * (model.press_damping_n_s_m - model.most_damping_n_s_m)
+            most_n_s_m = model.press_damping_n_s_m if presses else model.leave_damping_n_s_m
+            damping = least + lack * (most_n_s_m - least)
         change_x, change_y = -damping * vx - bx, -damping * vy - by
         change = sqrt(change_x * change_x + change_y * change_y)
         share = most / change if change > most else 1.0

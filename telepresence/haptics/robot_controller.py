@@ -24,9 +24,12 @@ _SLOWING_N, _SLOWING_M_S, _LEAST_SLOWING_M_S = 25.0, 0.1, 0.0625
 #: in contact, a robot that is short of credit follows the smoothed position.
 _REST_M, _REST_S, _RESTED_S = 0.002, 0.1, 0.3
 #: While the joystick lacks the credit to show a press, the press decays, and its energy pays for
-#: what is shown. So the robot does not press harder than the hand feels for long. Its time constant
-#: (s) is this and so many round trips; the lack is smoothed with the other one.
-_UNFELT_S, _UNFELT_TRIPS, _LACK_S, _LEAST_LACK = 2.0, 16.0, 0.2, 0.05
+#: what is shown. So the robot does not press harder than the hand feels for long. The lack is
+#: smoothed with this time constant (s).
+_LACK_S, _LEAST_LACK = 0.2, 0.05
+#: Time constants in seconds and in round trips: of the decay while the joystick always lacks, and
+#: of the growth once it lacks no more.
+_DECAY_S, _DECAY_TRIPS, _GROWTH_S, _GROWTH_TRIPS = 2.0, 16.0, 0.2, 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -246,7 +249,11 @@ class RobotController(PortController):
         press_2 = press_x * press_x + press_y * press_y
         if self.trip_s is None or unfelt < _LEAST_LACK or press_2 == 0.0:
             return vx, vy
-        most = (1.0 - 2.0 * unfelt) / (_UNFELT_S + _UNFELT_TRIPS * self.trip_s)
+        most, trip_s = 1.0 - 2.0 * unfelt, self.trip_s
+        if most < 0.0:
+            most /= _DECAY_S + _DECAY_TRIPS * trip_s
+        else:
+            most /= _GROWTH_S + _GROWTH_TRIPS * trip_s
         surplus = max(0.0, (vx * press_x + vy * press_y) / press_2 - most)
         return vx - surplus * press_x, vy - surplus * press_y
 

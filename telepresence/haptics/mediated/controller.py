@@ -264,7 +264,7 @@ def _towards(x: float, y: float, to_x: float, to_y: float, most: float) -> tuple
 
 _tuple = tuple.__new__
 #: Less damping than `direct`: the wall's force takes its energy from the tank, not from the robot.
-_MODEL = JoystickControllerModel(most_damping_n_s_m=8.0)
+_MODEL = JoystickControllerModel(most_damping_n_s_m=8.0, damping_s=0.2)
 _RENDERING = RendererModel(limit_j=0.5, steepest_n_m=5000.0)
 #: Fastest change of wall and rest together, and with the damping.
 _MOST_N_S, _ALL_N_S = 1000.0, 1090.0
