@@ -305,8 +305,9 @@ class RobotSide(_Side):
             estimator.publish_again()
         if envelope is not None:
             envelope.command_age_ns = probe.age_ns(now_ns) if probe.answered else None
-        direct = controller.passive and (estimator is None or estimator.told is None)
-        controller.trip_s = (probe.trip_ns or 0) / NS_PER_S if direct else None
+        told = estimator is not None and estimator.told is not None
+        tells = estimator is not None and not self._walls_from_ns
+        controller.set_trip((probe.trip_ns or 0) / NS_PER_S, told=told, tells=tells)
         acted = self._advance(now_ns, advance_ns)
         contact = robot.contact or (bool(robot.more) and any(axis.contact for axis in robot.more))
         if self.ownership is not None:

@@ -30,6 +30,9 @@ _LACK_S, _LEAST_LACK = 0.2, 0.05
 #: Time constants in seconds and in round trips: of the decay while the joystick always lacks, and
 #: of the growth once it lacks no more.
 _DECAY_S, _DECAY_TRIPS, _GROWTH_S, _GROWTH_TRIPS = 2.0, 16.0, 0.2, 2.0
+#: A press that grows faster than the hand feels it comes and goes with the hand's answer. So its
+#: time constant is so many times what the round trip is beyond this (s).
+_PRESS_TRIPS, _SHORT_S = 2.0, 0.03
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -84,6 +87,7 @@ class RobotController(PortController):
     speed_m_s: limit of the reference's speed; the caller may lower it.
     letting_go: the press decays, whatever the command; for the caller to set.
     trip_s: the measured round trip, for the caller to set; None: the hand feels a rendered wall.
+    press_s: time constant with which a press grows, besides that of the reference; see `set_trip`.
     acted: number of steps that cost more than the credit.
     """
 
@@ -105,6 +109,7 @@ class RobotController(PortController):
         self.holding = True
         self.letting_go = False
         self.trip_s: float | None = None
+        self.press_s = 0.0
         self.reference_x_m, self.reference_y_m = x_m, y_m
         self._vx = self._vy = 0.0
         #: Follows the received position with the time constant `_REST_S`.
@@ -115,6 +120,15 @@ class RobotController(PortController):
         self._rested_s = 0.0
         #: From 0 to 1: how often the joystick has lacked the credit to show a press of late.
         self._unfelt = 0.0
+
+    def set_trip(self, trip_s: float, *, told: bool, tells: bool) -> None:
+        """Take the measured round trip, before a step.
+
+        told: the hand feels a rendered wall. tells: it will feel one, which is found by pressing.
+        """
+        self.trip_s = trip_s if self.passive and not told else None
+        direct = self.passive and not tells and trip_s > _SHORT_S
+        self.press_s = _PRESS_TRIPS * (trip_s - _SHORT_S) if direct else 0.0
 
     def release(self, x_m: float, y_m: float) -> None:
         """Another mode drives the robot: move the reference to the tip, and lose the energy."""
@@ -241,20 +255,27 @@ class RobotController(PortController):
     def _shown(
         self, lacks: bool, vx: float, vy: float, press_x: float, press_y: float, dt_s: float
     ) -> tuple[float, float]:
-        """Return the velocity (m/s) that lets a press go while the hand `lacks` it.
+        """Return the velocity (m/s) with which a press grows slowly; one that is not felt decays.
 
+        lacks: the joystick lacks the credit to show it.
         press_x, press_y: the spring's stretch (m).
         """
         self._unfelt = unfelt = self._unfelt + (lacks - self._unfelt) * dt_s / (dt_s + _LACK_S)
         press_2 = press_x * press_x + press_y * press_y
-        if self.trip_s is None or unfelt < _LEAST_LACK or press_2 == 0.0:
+        if press_2 == 0.0:
             return vx, vy
-        most, trip_s = 1.0 - 2.0 * unfelt, self.trip_s
-        if most < 0.0:
-            most /= _DECAY_S + _DECAY_TRIPS * trip_s
-        else:
-            most /= _GROWTH_S + _GROWTH_TRIPS * trip_s
-        surplus = max(0.0, (vx * press_x + vy * press_y) / press_2 - most)
+        wanted = growth = (vx * press_x + vy * press_y) / press_2
+        if growth > 0.0 and self.press_s > 0.0:
+            growth *= self.model.follow_s / (self.model.follow_s + self.press_s)
+        trip_s = self.trip_s
+        if trip_s is not None and unfelt >= _LEAST_LACK:
+            most = 1.0 - 2.0 * unfelt
+            if most < 0.0:
+                most /= _DECAY_S + _DECAY_TRIPS * trip_s
+            else:
+                most /= _GROWTH_S + _GROWTH_TRIPS * trip_s
+            growth = min(growth, most)
+        surplus = wanted - growth
         return vx - surplus * press_x, vy - surplus * press_y
 
     def _slowed(self, fx: float, fy: float, vx_m_s: float, vy_m_s: float) -> tuple[float, float]:
