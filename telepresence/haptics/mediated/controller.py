@@ -32,6 +32,8 @@ from telepresence.haptics.sample import Feedback
 _CYCLE_S = NS_PER_MS / NS_PER_S
 #: Up to this speed a spring that relaxes falls slowly enough; a tremor is about as fast.
 _SLOW_M_S = 0.02
+#: How fast a hand of 0.2 kg, which has pushed by 10 N and lets go, accelerates.
+_RELEASED_M_S2 = 50.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -245,12 +247,21 @@ class WallRenderer:
         away_m_s = max(0.0, -(self._inward[0] * self._vx + self._inward[1] * self._vy))
         # A hand that runs away outruns the fastest fade.
         yielding = 1.0 / self._spring_n_m + max(0.0, away_m_s - _SLOW_M_S) / model.most_rate_n_s
-        force = min(force, self.limit_n, sqrt(2.0 * tank_j / yielding))
+        most = sqrt(2.0 * tank_j / yielding)
+        least = hypot(*self.force_n) - model.most_rate_n_s * _CYCLE_S
+        if most < least <= force and self._fade_j(least, max(0.0, -in_m_s)) <= tank_j:
+            most = least
+        force = min(force, self.limit_n, most)
         # The next cycle is held, and the handle may accelerate.
         out_m = (model.acceleration_m_s2 * _CYCLE_S - in_m_s) * _CYCLE_S
         if force * out_m > tank_j:
             force = tank_j / out_m
         return force
+
+    def _fade_j(self, force: float, away_m_s: float) -> float:
+        """Return what the fastest fade of `force` gives to a hand that goes away, ever faster."""
+        fade_s = force / self.model.most_rate_n_s
+        return force * fade_s * (away_m_s / 2.0 + _RELEASED_M_S2 * fade_s / 6.0)
 
 
 def _towards(x: float, y: float, to_x: float, to_y: float, most: float) -> tuple[float, float]:
