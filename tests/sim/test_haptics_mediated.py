@@ -154,6 +154,19 @@ def test_a_wall_that_rises_leaves_the_rest_what_it_needs_to_fade(force_n, stiffn
     assert largest_change_n(controller, course()) <= 1.1
 
 
+def test_a_wall_that_a_hand_leaves_at_once_fades_by_1_1_n_a_ms():
+    controller = MediatedController()
+    tell_wall(controller, 1500.0)
+
+    def course():
+        for ms in range(900):
+            if ms < 800:
+                controller.renderer.tank_j = 0.0064
+            yield Feedback(0.0, 0.0, 0, False), 0.0135 - 20e-6 * max(0, ms - 800) ** 2
+
+    assert 1.0 < largest_change_n(controller, course()) <= 1.1
+
+
 def test_motors_that_get_weaker_at_a_resting_handle_leave_no_force_beyond_their_limit():
     controller = MediatedController(residual=True)
     for ms in range(900):

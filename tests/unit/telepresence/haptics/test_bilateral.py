@@ -4,10 +4,12 @@ import pytest
 from haptic_pair import MS, HapticPair
 from haptic_samples import unpack_command, unpack_feedback
 from haptic_session import begin_session
+from mediated_pair import MediatedPair
 
 from telepresence.haptics.bilateral import JoystickSide, RobotSide
+from telepresence.haptics.board import WALL_X_M
 from telepresence.haptics.envelope import SafetyEnvelope
-from telepresence.haptics.hand import PRESS_AND_SLIDE
+from telepresence.haptics.hand import PRESS_AND_SLIDE, HandModel, Waypoint
 from telepresence.haptics.mediated.wall import parse_wall
 from telepresence.haptics.robot import Robot
 from telepresence.haptics.sample import (
@@ -45,6 +47,15 @@ def test_the_press_is_felt():
     assert pair.space.force_x_n == pytest.approx(-pair.robot.force_n, rel=0.1)
     sample = unpack_feedback(pair.newest[pair.ground]).value
     assert (sample.contact, sample.lit, sample.mode) == (True, 0, MODE_IMPEDANCE)
+
+
+def test_a_heavy_hand_that_hits_a_wall_fast_soon_feels_all_of_it():
+    grip = HandModel(stiffness_n_m=600.0, damping_n_s_m=20.0, mass_kg=3.0)
+    hit = (Waypoint(0.02, 0.0, 300 * MS, 2000 * MS), Waypoint(0.075, 0.0, 160 * MS, 2500 * MS))
+    pair = MediatedPair(32, grip, mediated=False, script=hit)
+    pair.run(5)
+    x_m, force_n, *_ = pair.rows[-250:].mean(axis=0)
+    assert -force_n > 0.95 * 600.0 * (x_m - WALL_X_M)
 
 
 def test_a_robot_in_another_mode_displays_no_force_and_stays():

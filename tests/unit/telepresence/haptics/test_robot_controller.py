@@ -116,35 +116,49 @@ def test_what_it_does_not_need_goes_to_an_end_that_lacks_and_in_contact_is_lost(
     assert granted(False, True) == (0, pytest.approx(spare_j, rel=0.1))
 
 
-@pytest.mark.parametrize(
-    ("trip_s", "lacks", "least_n", "most_n"),
-    [(0.02, True, 0.0, 0.3), (0.02, False, 8.0, 9.0), (None, True, 8.0, 9.0)],
-)
-def test_a_press_that_the_hand_does_not_feel_is_let_go_unless_a_wall_is_rendered(
-    trip_s, lacks, least_n, most_n
-):
-    side, robot = RobotController(), Robot(board=Board(WallModel(x_m=0.0, stiffness_n_m=5000.0)))
-    side.port.credit_j, side.trip_s = 0.3, trip_s
-    forces = []
-    for _ in range(10_000):
-        command = Command(0.01, 0.0, 0, acted=lacks)
+def press_forces_n(side, commands, stiffness_n_m=5000.0):
+    """The force (N) of each cycle of a hand that presses on a wall at 0."""
+    robot = Robot(board=Board(WallModel(x_m=0.0, stiffness_n_m=stiffness_n_m)))
+    for command in commands:
         step = side.step(command, robot.x_m, 0.0, robot.vx_m_s, 0.0, MS, touching=robot.contact)
         robot.step(*step, MS)
-        forces.append(robot.force_n)
+        yield robot.force_n
+
+
+@pytest.mark.parametrize(
+    ("told", "lacks", "least_n", "most_n"),
+    [(False, True, 0.0, 0.3), (False, False, 8.0, 9.0), (True, True, 8.0, 9.0)],
+)
+def test_a_press_that_the_hand_does_not_feel_is_let_go_unless_a_wall_is_rendered(
+    told, lacks, least_n, most_n
+):
+    side = RobotController()
+    side.port.credit_j = 0.3
+    side.set_trip(0.02, told=told, tells=told)
+    forces = [*press_forces_n(side, [Command(0.01, 0.0, 0, acted=lacks)] * 10_000)]
     assert max(forces) > 8.0 and least_n <= forces[-1] <= most_n
     assert side.credit_uj >= 0.0
 
 
+def test_a_press_grows_as_slowly_as_the_hand_can_answer_unless_walls_are_told():
+    def reached_ms(trip_s, tells=False):
+        side = RobotController()
+        side.port.credit_j = 0.3
+        side.set_trip(trip_s, told=False, tells=tells)
+        forces = press_forces_n(side, [Command(0.01, 0.0, 0)] * 5000)
+        return next(ms for ms, force_n in enumerate(forces) if force_n > 5.0)
+
+    assert reached_ms(0.03) == reached_ms(0.5, tells=True) < 100
+    assert 500 < reached_ms(0.5) < 1200
+
+
 def test_a_tremor_in_contact_does_not_empty_a_poor_robots_press():
     def pressed_n(amplitude_m):
-        side, robot = RobotController(), Robot(board=Board(WallModel(x_m=0.0)))
+        side = RobotController()
         side.port.credit_j = 0.1
-        for k in range(4000):
-            x_m = 0.006 + amplitude_m * sin(tau * 10 * k * 1e-3)
-            command = Command(x_m, 0.0, k * 10)
-            step = side.step(command, robot.x_m, 0.0, robot.vx_m_s, 0.0, MS, touching=robot.contact)
-            robot.step(*step, MS)
-        return robot.force_n
+        places_m = (0.006 + amplitude_m * sin(tau * 10 * k * 1e-3) for k in range(4000))
+        commands = [Command(x_m, 0.0, k * 10) for k, x_m in enumerate(places_m)]
+        return [*press_forces_n(side, commands, 1500.0)][-1]
 
     assert pressed_n(0.0005) == pytest.approx(pressed_n(0.0), rel=0.1)
 
