@@ -36,11 +36,9 @@ def test_a_short_run_gives_metrics(name, tmp_path, capsys):
     assert found["unreadable"] == 0
     assert found["psnr_db"]["mean"] > 20
     assert found["rtp_1s_bps"] > found["payload_1s_bps"] > 10_000
-    assert found["sender_cpu_s"] > 0
-    assert found["receiver_cpu_s"] > 0
+    assert min(found["sender_cpu_s"], found["receiver_cpu_s"]) > 0
     if name == OURS:
         assert found["payload_1s_bps"] <= 85_000
-        # A report of the receiver came back, so the sender knows of its feedback.
-        assert found["answers"] > 0
+        assert found["answers"] > 0, "no report of the receiver came back"
         met = {verdict["what"]: verdict["met"] for verdict in rate["scene"]["targets"]}
         assert met["largest 1 s window of payload"]

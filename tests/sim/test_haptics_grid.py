@@ -148,7 +148,6 @@ def test_a_restart_in_contact_keeps_the_plants_and_the_claims(mode, restart) -> 
 @pytest.mark.parametrize(
     ("felt", "least", "seed", "text"),
     [
-        # It was 45 and 75 N/m of 600 when the damping did not follow the credit.
         ("last", 60, 1, "delay=300,wall=1500,hand=firm"),
         # The robot has no credit to move, and a tip that rests reveals no wall.
         (
@@ -171,10 +170,3 @@ def test_walls_are_felt_through_delays_and_after_restarts(felt, least, seed, tex
     assert getattr(found, f"felt_{felt}") > least
     if felt == "last" and seed == 1:
         assert found.drift_mm < 1.0
-
-
-def test_an_envelope_asks_for_a_press_after_a_restart() -> None:
-    cell = Cell(delay=40.0, wall=1500.0, restart="robot", envelope="on")
-    planned, course = run_cell(cell, seed=1)
-    assert len(course) * MS > planned.end_ns + 500 * MS
-    assert metrics(cell, planned, course).felt_last > 90.0

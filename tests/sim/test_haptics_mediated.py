@@ -113,12 +113,8 @@ def test_the_first_press_feels_the_wall_at_any_delay_without_drag(
 
 def largest_change_n(controller, courses):
     """Return by how much the force changes at most. courses: feedback and handle, each ms."""
-    before, largest = (0.0, 0.0), 0.0
-    for feedback, x_m in courses:
-        now = controller.step(feedback, x_m, 0.0, MS)
-        largest = max(largest, hypot(now[0] - before[0], now[1] - before[1]))
-        before = now
-    return largest
+    forces = [controller.step(feedback, x_m, 0.0, MS) for feedback, x_m in courses]
+    return np.hypot(*np.diff([(0.0, 0.0), *forces], axis=0).T).max()
 
 
 def tell_wall(controller, stiffness_n_m):

@@ -11,7 +11,7 @@ import { onNextFrame } from "./next_frame.js";
 import { pageMs } from "./page_clock.js";
 import { PictureView } from "./picture_view.js";
 import { SharpCanvas } from "./sharp_canvas.js";
-import { TipPrediction, fitted, shareOf } from "./tip_prediction.js";
+import { fitted, shareOf } from "./tip_prediction.js";
 import { drawGoal } from "./workspace_map.js";
 
 /** From this round trip on the tip is predicted. */
@@ -34,7 +34,6 @@ class BoardOverlay extends HTMLElement {
   #words = make("span", { role: "status" });
   #button = make("button", { type: "button" });
   #note = make("div", { class: "tip-note", hidden: true }, this.#words, this.#button);
-  #prediction = new TipPrediction();
   #shown = true;
   /** @type {Seat | null} */
   #seat = null;
@@ -55,7 +54,7 @@ class BoardOverlay extends HTMLElement {
       for (const [what, scale, ...names] of TOLD) {
         const [x, y] = names.map((name) => values.find((one) => one.application === "robot" && one.name === name));
         if (typeof x?.value !== "number" || typeof y?.value !== "number" || roundTripMs === null) continue;
-        this.#prediction.handleTold(what, { xM: scale * x.value, yM: scale * y.value }, x.at_us, roundTripMs);
+        seat.prediction.handleTold(what, { xM: scale * x.value, yM: scale * y.value }, x.at_us, roundTripMs);
       }
     });
     for (const kind of /** @type {const} */ (["panel", "state", "lost"])) connection.on(kind, this.#redraw);
@@ -79,11 +78,10 @@ class BoardOverlay extends HTMLElement {
   }
 
   #handleHand() {
-    const connection = this.#seat?.connection;
     const row = this.#hand?.row ?? null;
-    const nowUs = connection?.nowUs() ?? null;
-    if (connection === undefined || nowUs === null || row === null) this.#prediction.forget();
-    else this.#prediction.handleHand(row, row.deadMan, nowUs);
+    const nowUs = this.#seat?.connection.nowUs() ?? null;
+    if (nowUs === null || row === null) this.#seat?.prediction.forget();
+    else this.#seat?.prediction.handleHand(row, row.deadMan, nowUs);
     this.#redraw();
   }
 
@@ -115,7 +113,7 @@ class BoardOverlay extends HTMLElement {
     if (hello !== null && panel !== null && panelShown(connection, panel).mode === "running" && panel.goal !== "") {
       drawGoal(context, panel, hello.board, at, GOAL);
     }
-    const tip = follows(connection) ? this.#prediction.tip : null;
+    const tip = follows(connection) ? this.#seat?.prediction.tip ?? null : null;
     const drawn = long && this.#shown && tip !== null ? at(tip.xM, tip.yM) : null;
     this.dataset.tip = drawn === null ? "" : drawn.map(Math.round).join(" ");
     if (drawn !== null) drawTip(context, ...drawn);

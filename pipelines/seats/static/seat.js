@@ -9,11 +9,14 @@ import { one } from "./dom.js";
 import { FigureBinding } from "./figure_binding.js";
 import { Keyboard, keepFocusOnClick } from "./keyboard.js";
 import { startTheme, toggleTheme } from "./theme.js";
+import { TipPrediction } from "./tip_prediction.js";
 
 export class Seat {
   connection = new Connection();
   figures = new FigureBinding();
   keyboard = new Keyboard();
+  /** Where the hand leads the robot's tip: `<board-overlay>` finds it. */
+  prediction = new TipPrediction();
 }
 
 /** Starts the page: call it once all elements are defined. */

