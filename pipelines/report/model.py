@@ -557,8 +557,8 @@ class SessionReport(Report, frozen=True, kw_only=True):
     cpu: CpuReport
     processes: dict[str, ProcessReport]
     #: What broke a promise: a cap exceeded, a stream or haptics stopped despite a signal, a wrong
-    #: stamp, energy made, a joystick or robot failed, values of this report lost. A process that
-    #: hung, did not come up, was started again more than twice, or ended without a reason.
+    #: stamp, energy made, a joystick or robot failed, values of this report lost. Also a process
+    #: that hung, did not come up, was started again more than twice, or ended without a reason.
     failures: list[str]
     #: What made the session worse than need be, and its fix.
     warnings: list[Warning]

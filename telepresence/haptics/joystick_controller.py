@@ -44,8 +44,8 @@ class JoystickControllerModel:
     press_damping_n_s_m, leave_damping_n_s_m: as the latter, while the hand moves against the force
     of a contact, and with it. What a delay costs is a damping of the wall's stiffness times the
     round trip.
-    damping_s: time constant with which the damping follows the credit. A hand that still swings
-    after it has hit a wall gives energy for a tenth of a second or two.
+    damping_s: time constant with which the damping follows the credit. It is short, since a hand
+    that has hit a wall swings, and so gives energy, for 0.1 to 0.2 s only.
     starved_s: the damping stays this long after the robot's credit has lacked.
     rate_n_s, damping_rate_n_s: fastest change of the displayed force and of the damping force.
     relax_s: time constant with which the force decays without samples.

@@ -30,8 +30,8 @@ _LACK_S, _LEAST_LACK = 0.2, 0.05
 #: Time constants in seconds and in round trips: of the decay while the joystick always lacks, and
 #: of the growth once it lacks no more.
 _DECAY_S, _DECAY_TRIPS, _GROWTH_S, _GROWTH_TRIPS = 2.0, 16.0, 0.2, 2.0
-#: A press that grows faster than the hand feels it comes and goes with the hand's answer. So its
-#: time constant is so many times what the round trip is beyond this (s).
+#: A press that grows faster than its force reaches the hand swings with the hand's late answer. So
+#: its time constant is so many times the part of the round trip beyond this (s).
 _PRESS_TRIPS, _SHORT_S = 2.0, 0.03
 
 
@@ -86,8 +86,8 @@ class RobotController(PortController):
     holding: the reference follows no command.
     speed_m_s: limit of the reference's speed; the caller may lower it.
     letting_go: the press decays, whatever the command; for the caller to set.
-    trip_s: the measured round trip, for the caller to set; None: the hand feels a rendered wall.
-    press_s: time constant with which a press grows, besides that of the reference; see `set_trip`.
+    trip_s: the measured round trip, by `set_trip`; None: the hand feels a rendered wall.
+    press_s: time constant with which a press grows, besides that of the reference; by `set_trip`.
     acted: number of steps that cost more than the credit.
     """
 

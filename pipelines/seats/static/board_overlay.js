@@ -14,7 +14,7 @@ import { SharpCanvas } from "./sharp_canvas.js";
 import { fitted, shareOf } from "./tip_prediction.js";
 import { drawGoal } from "./workspace_map.js";
 
-/** From this round trip on the tip is predicted. */
+/** From this round trip on the predicted tip is shown. */
 const LONG_MS = 500;
 /** After a change of the camera its first picture may take this much longer than the picture's age. */
 const SWITCH_MS = 300;

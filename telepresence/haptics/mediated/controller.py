@@ -249,7 +249,7 @@ class WallRenderer:
         yielding = 1.0 / self._spring_n_m + max(0.0, away_m_s - _SLOW_M_S) / model.most_rate_n_s
         most = sqrt(2.0 * tank_j / yielding)
         least = hypot(*self.force_n) - model.most_rate_n_s * _CYCLE_S
-        if most < least <= force and self._fade_j(least, max(0.0, -in_m_s)) <= tank_j:
+        if most < least <= force and self._fastest_fade_j(least, max(0.0, -in_m_s)) <= tank_j:
             most = least
         force = min(force, self.limit_n, most)
         # The next cycle is held, and the handle may accelerate.
@@ -258,7 +258,7 @@ class WallRenderer:
             force = tank_j / out_m
         return force
 
-    def _fade_j(self, force: float, away_m_s: float) -> float:
+    def _fastest_fade_j(self, force: float, away_m_s: float) -> float:
         """Return what the fastest fade of `force` gives to a hand that goes away, ever faster."""
         fade_s = force / self.model.most_rate_n_s
         return force * fade_s * (away_m_s / 2.0 + _RELEASED_M_S2 * fade_s / 6.0)
@@ -274,7 +274,8 @@ def _towards(x: float, y: float, to_x: float, to_y: float, most: float) -> tuple
 
 
 _tuple = tuple.__new__
-#: Less damping than `direct`: the wall's force takes its energy from the tank, not from the robot.
+#: Less and slower damping than `direct`: the wall's force takes its energy from the tank, not from
+#: the robot.
 _MODEL = JoystickControllerModel(most_damping_n_s_m=8.0, damping_s=0.2)
 _RENDERING = RendererModel(limit_j=0.5, steepest_n_m=5000.0)
 #: Fastest change of wall and rest together, and with the damping.
