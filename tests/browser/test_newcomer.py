@@ -42,8 +42,7 @@ TASK = """<Tasks>
 </Tasks>"""
 #: By their places in the list, after those of the catalogue.
 TASK_NUMBERS = {"all": 8, "pull": 9}
-#: The words of the page, and of one box on it, as a person sees them.
-SEEN = "return document.querySelector('main').innerText"
+#: One box on the page, as a person sees it.
 BOX = """
     const titles = [...document.querySelectorAll("h2")];
     const found = titles.find((one) => one.innerText.toLowerCase() === arguments[0]);
@@ -59,7 +58,6 @@ LEADS = (
     "Do the task",
     "Next task",
 )
-LITTLE_MM = 3  #: A hand guesses how far it must go for "a little".
 SIGNS = {"left": (-1, 0), "right": (1, 0), "up": (0, -1), "down": (0, 1)}
 #: So near the edge of the window a hand lets the handle go, and takes it anew in the middle.
 EDGE = 20
@@ -93,7 +91,7 @@ class Newcomer:
     def read(self, title=""):
         """Return the words of the page, or of the box with this title."""
         if not title:
-            return self.page.run(SEEN)
+            return self.page.run("return document.querySelector('main').innerText")
         box = self.page.run(BOX, title)
         return "" if box is None else box.text
 
@@ -199,7 +197,7 @@ class Newcomer:
                 self.release()
                 self.wait(0.5)
                 self.press()
-            self.drag(f"{LITTLE_MM} mm {further[1]}")
+            self.drag(f"3 mm {further[1]}")
         else:
             self.wait(0.2)
 

@@ -29,9 +29,15 @@ test("what the robot told before it knew of the press is of no use", () => {
   prediction.handleTold("offset", place(0.5, 0.5), 1_700_000, ROUND_TRIP_MS);
   prediction.handleHand(place(0.02, 0), true, 1_750_000);
   assert.equal(prediction.tip, null);
+  // The hand rests, so nothing else is heard of it.
   prediction.handleTold("offset", place(-0.02, 0), 1_900_000, ROUND_TRIP_MS);
-  prediction.handleHand(place(0.02, 0), true, 1_950_000);
   assert.deepEqual(prediction.tip, place(0, 0));
+  prediction.handleTold("place", place(0.009, 0), 2_800_000, ROUND_TRIP_MS);
+  assert.deepEqual(prediction.tip, place(0, 0));
+  prediction.handleTold("place", place(0.007, 0), 2_900_000, ROUND_TRIP_MS);
+  assert.deepEqual(prediction.tip, place(0.007, 0));
+  prediction.handleHand(place(0.04, 0), true, 2_950_000);
+  assert.deepEqual(prediction.tip, place(0.02, 0));
   prediction.forget();
   assert.equal(prediction.tip, null);
 });

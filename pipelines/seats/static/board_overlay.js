@@ -56,6 +56,7 @@ class BoardOverlay extends HTMLElement {
         if (typeof x?.value !== "number" || typeof y?.value !== "number" || roundTripMs === null) continue;
         seat.prediction.handleTold(what, { xM: scale * x.value, yM: scale * y.value }, x.at_us, roundTripMs);
       }
+      this.#redraw();
     });
     for (const kind of /** @type {const} */ (["panel", "state", "lost"])) connection.on(kind, this.#redraw);
     const toggle = () => {

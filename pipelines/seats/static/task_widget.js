@@ -51,7 +51,7 @@ class TaskWidget extends HTMLElement {
     const redraw = onNextFrame(() => this.#show());
     this.#newest = newest;
     newest.onchange = redraw;
-    for (const kind of /** @type {const} */ (["panel", "state", "lost"])) connection.on(kind, redraw);
+    for (const kind of /** @type {const} */ (["panel", "state", "values", "lost"])) connection.on(kind, redraw);
   }
 
   #show() {

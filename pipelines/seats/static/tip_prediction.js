@@ -5,18 +5,30 @@
 
 /** @typedef {{xM: number, yM: number}} Place On the board, in metres. */
 
+/** A hand that moves less rests, and the robot has come to rest so long after it. */
+const STILL_M = 0.0005;
+const SETTLED_US = 1_000_000;
+
 export class TipPrediction {
   /** The robot's place less the hand's; null while nobody knows it. @type {Place | null} */
   #offset = null;
-  /** Where the robot's tip was or will be led to. @type {Place | null} */
-  #tip = null;
-  #pressed = false;
+  /** The hand, while the button is pressed. @type {Place | null} */
+  #hand = null;
+  /** Where the robot was without the hand, or where the hand had led it by the release. @type {Place | null} */
+  #left = null;
+  /** Where the robot came to rest, while the hand rests where it was. @type {Place | null} */
+  #rest = null;
+  /** Where the hand rests. @type {Place | null} */
+  #still = null;
+  #movedUs = -Infinity;
   /** Of the newest press or release. */
   #changedUs = -Infinity;
 
   /** The tip, while the dead-man button is pressed; null while it is not known. */
   get tip() {
-    return this.#pressed ? this.#tip : null;
+    const [hand, offset] = [this.#hand, this.#offset];
+    if (hand === null || offset === null) return null;
+    return this.#rest ?? { xM: hand.xM + offset.xM, yM: hand.yM + offset.yM };
   }
 
   /**
@@ -24,30 +36,36 @@ export class TipPrediction {
    * @param {Place} hand @param {boolean} pressed @param {number} nowUs
    */
   handleHand(hand, pressed, nowUs) {
-    if (pressed !== this.#pressed) {
+    const changed = pressed !== (this.#hand !== null);
+    if (changed) {
       this.#changedUs = nowUs;
-      if (pressed && this.#tip !== null) this.#offset = { xM: this.#tip.xM - hand.xM, yM: this.#tip.yM - hand.yM };
+      if (!pressed) this.#left = this.tip;
+      else if (this.#left !== null) this.#offset = { xM: this.#left.xM - hand.xM, yM: this.#left.yM - hand.yM };
     }
-    this.#pressed = pressed;
-    if (pressed && this.#offset !== null) {
-      this.#tip = { xM: hand.xM + this.#offset.xM, yM: hand.yM + this.#offset.yM };
+    this.#hand = pressed ? hand : null;
+    const still = this.#still;
+    if (changed || still === null || Math.hypot(hand.xM - still.xM, hand.yM - still.yM) > STILL_M) {
+      [this.#still, this.#movedUs, this.#rest] = [hand, nowUs, null];
     }
   }
 
   /**
    * The robot has told its offset, which counts while the button is pressed, or its place, which
-   * counts otherwise. What it told before it knew of the newest press or release is of no use.
+   * counts otherwise, and once both rest: something may hold the robot. What it told before it knew
+   * of the newest press or release is of no use.
    * @param {"offset" | "place"} what @param {Place} told @param {number} heardUs @param {number} roundTripMs
    */
   handleTold(what, told, heardUs, roundTripMs) {
-    if (heardUs <= this.#changedUs + 1000 * roundTripMs) return;
-    if (what === "offset" && this.#pressed) this.#offset = told;
-    if (what === "place" && !this.#pressed) this.#tip = told;
+    const askedUs = heardUs - 1000 * roundTripMs;
+    if (askedUs <= this.#changedUs) return;
+    if (what === "offset" && this.#hand !== null) this.#offset = told;
+    if (what === "place" && this.#hand === null) this.#left = told;
+    if (what === "place" && askedUs > this.#movedUs + SETTLED_US) this.#rest = told;
   }
 
   /** Nothing is known any more, because nothing is heard of the hand. */
   forget() {
-    this.#offset = this.#tip = null;
+    this.#offset = this.#hand = this.#left = this.#rest = null;
   }
 }
 
