@@ -1,8 +1,8 @@
 """Detects steps of the received force: the stylus meets something.
 
 The force is compared with a slowly following baseline, so constant pressure hides no step. Its
-instant is that of the first sample of the rise. If samples carry the contact flag, only a change
-during contact counts.
+instant is that of the first sample of the rise. If samples carry the contact flag, a step begins
+with the contact: a change during it, as of a hand that begins to retreat, is none.
 """
 
 from collections import deque
@@ -41,6 +41,8 @@ class StepDetector:
         self._base_y = 0.0
         self._last_ns: int | None = None
         self._rising_ns: int | None = None
+        #: Since when samples have said contact.
+        self._touched_ns: int | None = None
         #: The next step counts only after the force has come to rest.
         self._armed = True
         self._calm_ns: int | None = None
@@ -58,6 +60,10 @@ class StepDetector:
         share = ahead_ns / _FOLLOW_NS if ahead_ns < _FOLLOW_NS else 1.0
         dx, dy = fx_n - self._base_x, fy_n - self._base_y
         change = dx * dx + dy * dy
+        if not contact:
+            self._touched_ns = None
+        elif self._touched_ns is None:
+            self._touched_ns = now_ns
         if contact is False or change < _NOISE_N * _NOISE_N:
             self._rising_ns = None
             self._base_x += dx * share
@@ -74,6 +80,9 @@ class StepDetector:
                 self._rest(now_ns)
             return
         if self._rising_ns is None:
+            if self._touched_ns is not None and now_ns - self._touched_ns > _LONGEST_RISE_NS:
+                self._armed = False
+                return
             self._rising_ns = now_ns
         if change >= THRESHOLD_N * THRESHOLD_N:
             before = self._base_x * self._base_x + self._base_y * self._base_y

@@ -47,10 +47,12 @@ def test_a_step_is_dated_at_its_first_sample(rise, force, hold, flag):
     ("samples", "found"),
     [
         ((free() + press()) * 4, [200, 705, 1210, 1715]),
-        # A bounce is no second step, a release none, and without contact no change of force.
+        # A bounce is no second step, a retreat none, and without contact no change of force.
         (free() + press(hold=10) + free(30) + press(), [200]),
         (free(contact=None) + press(None, hold=800) + free(400, None), [200]),
         (free() + press(False) + free(), []),
+        (free() + press(hold=800) + [(0.5, 0.0, True)] * 200 + free(), [200]),
+        (free() + press(rise=2000) + [(0.5, 0.0, True)] * 200 + free(), []),
         # Slow drift and rounding.
         ([(0.0005 * k, 0.0, None) for k in range(4000)], []),
         ([(0.002 * (k % 2), 0.0, True) for k in range(1000)], []),
