@@ -36,8 +36,7 @@ def test_all_that_was_recorded_is_sent_and_nothing_is_coded(replay, recording):
         units = [unit for unit in recording.units[name] if unit.capture_ns < end_ns]
         stream = report["streams"][name]
         assert report["replay"]["streams"][name]["units_recorded"] == len(units)
-        # A sender that starts late tells what it left out, and what is due at the very end may
-        # stay unsent; on virtual time nothing does.
+        # What is due at the very end may stay unsent; on virtual time nothing does.
         late = report["processes"][f"{name}_send"]["counts"]["items_left_out"]
         assert stream["frames_captured"] == stream["frames_sent"] <= len(units)
         assert stream["frames_sent"] + late > 0.9 * len(units) > 50
