@@ -223,7 +223,6 @@ def test_a_newcomer_finishes_a_task_by_what_the_pages_say(words, task, session, 
     print(f"{words}: {task} finished {time.monotonic() - began_s:.1f} s after the address")
     eventually(lambda: "✓ finished" in top.read("runs"), "the run")
     assert task in top.read("runs")
-    # The dots may come after the run's row.
     eventually(lambda: "●" in top.read("steps") and "○" not in top.read("steps"), "all dots")
     eventually(lambda: "Wait for a task" in panel.act(), "a panel that waits again")
     # A page that was busy has let go by itself.

@@ -86,6 +86,7 @@ _PACKAGES = """
 
 TABLE = (
     *_rows(Lane.ANY, True, "", "unit/ vectors/ fuzz/ sim/ web/ project/ samples/"),
+    *_rows(Lane.MACHINE, True, "samples/", "test_sample_join_session"),
     *_rows(Lane.MACHINE, False, "", "realtime/"),
     # A page takes more than a core.
     *_rows(Lane.MACHINE, False, "browser/", alone=True),
