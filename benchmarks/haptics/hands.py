@@ -15,14 +15,16 @@ from telepresence.haptics.hand import Hand, HandModel, Waypoint
 class BenchHand:
     """model: muscles and mass. taps: it taps at 4 Hz instead of moving freely.
 
-    depth_m: that it intends behind the wall. back_s: in which it retreats. tremor_n: amplitude of a
-    tremor of 8 to 12 Hz. reflex_n_m: of a stretch reflex after 50 ms. leaves: "limp", it lets its
-    muscles go while it presses; "lets go", of the handle and of the dead-man button, too.
+    depth_m: that it intends behind the wall. press_s, back_s: in which it gets there, and retreats.
+    tremor_n: amplitude of a tremor of 8 to 12 Hz. reflex_n_m: of a stretch reflex after 50 ms.
+    leaves: "limp", it lets its muscles go while it presses; "lets go", of the handle and of the
+    dead-man button, too.
     """
 
     model: HandModel
     taps: bool = False
     depth_m: float = 0.025
+    press_s: float = 0.7
     back_s: float = 0.6
     tremor_n: float = 0.0
     reflex_n_m: float = 0.0
@@ -36,7 +38,10 @@ HANDS: Mapping[str, BenchHand] = {
     "firm": BenchHand(model=hand.FIRM_GRIP),
     "arm-1kg": BenchHand(model=hand.LIGHT_ARM),
     "arm-2kg": BenchHand(model=hand.HEAVY_ARM),
+    "arm-3kg": BenchHand(model=HandModel(stiffness_n_m=600.0, damping_n_s_m=20.0, mass_kg=3.0)),
+    "hits": BenchHand(model=hand.SOFT_GRIP, press_s=0.16),
     "push": BenchHand(model=replace(hand.PUSH, push_n=6.0), depth_m=0.035),
+    "push-8n": BenchHand(model=replace(hand.PUSH, push_n=8.0), depth_m=0.035),
     "taps": BenchHand(model=hand.SOFT_GRIP, taps=True),
     # Those below are not passive.
     "tremor": BenchHand(model=hand.FIRM_GRIP, tremor_n=3.0),
@@ -61,9 +66,7 @@ class HeldHand(Hand):
     ) -> None:
         super().__init__(bench.model, script=script)
         random = Random(seed)
-        self._bench = bench
-        self._leaves = leaves
-        self._left = False
+        self._bench, self._leaves, self._left = bench, leaves, False
         self._tremor_hz, self._tremor_angle = random.uniform(8.0, 12.0), random.uniform(0.0, tau)
         self._stretched: deque[tuple[float, float]] = deque(maxlen=_REFLEX_MS)
 

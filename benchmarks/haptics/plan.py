@@ -15,10 +15,8 @@ from telepresence.haptics.hand import Waypoint
 START, FIRST, FREE, SECOND, LAST, REST = "start", "first", "free", "second", "last", "rest"
 #: After a restart in contact, the felt stiffness is taken so much later (s).
 FELT_AFTER_S = 1.0
-_PRESS_S = 0.7
 #: An oscillation of the delayed loop has a period of 2 to 4 round trips; the hold has three thirds.
-_HOLD_S, _HOLD_ROUND_TRIPS = 5.0, 12.0
-_RECOVERY_S = 2.0
+_HOLD_S, _HOLD_ROUND_TRIPS, _RECOVERY_S = 5.0, 12.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +52,7 @@ def plan(cell: Cell) -> CellPlan:
         phases.append(phase)
 
     def press(phase: str, stay_s: float) -> None:
-        go(phase, wall_m + hand.depth_m, 0.0, _PRESS_S, stay_s)
+        go(phase, wall_m + hand.depth_m, 0.0, hand.press_s, stay_s)
         go(REST if phase == LAST else FREE, 0.0, 0.0, hand.back_s)
 
     def move(seconds: int) -> None:
@@ -73,12 +71,12 @@ def plan(cell: Cell) -> CellPlan:
     free = len(script)
     move(1)
     second, began_s = len(script), _seconds(script)
-    into_s = _PRESS_S + 1.0
+    into_s = hand.press_s + 1.0
     dark: list[tuple[int, int]] = []
     for _ in range(3 if cell.blackout else 0):
         dark.append((_ns(began_s + into_s), _ns(began_s + into_s + cell.blackout)))
         into_s += cell.blackout + _RECOVERY_S + 2.0 * round_trip_s
-    stay_s = into_s - _PRESS_S + FELT_AFTER_S + 1.5 + 2.0 * round_trip_s
+    stay_s = into_s - hand.press_s + FELT_AFTER_S + 1.5 + 2.0 * round_trip_s
     press(SECOND, stay_s)
     move(3)
     hold_s = max(_HOLD_S, _HOLD_ROUND_TRIPS * round_trip_s)
