@@ -151,8 +151,6 @@ class Newcomer:
                 break
             self.wait(0.1)
 
-    # What it does
-
     def act(self):
         """Do what the page says now; return what it says."""
         says = self.read("what to do")
