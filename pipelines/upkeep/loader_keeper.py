@@ -19,6 +19,7 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError, refused
 from pipelines.upkeep.requests import (
+    LOOKS_S,
     DiskStore,
     InboxFolder,
     Program,
@@ -251,7 +252,7 @@ class LoaderKeeper:
         """
         if inbox is not None and ftp is not None:
             raise ConfigError("--inbox and --ftp: the server's copies would overwrite the update")
-        with kept(self.path) as free:
+        with kept(self.path, within_s=LOOKS_S) as free:
             if not free:
                 raise ConfigError(f"{self.path} runs already")
             self._ftp, self._device = ftp, device

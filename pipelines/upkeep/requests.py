@@ -195,22 +195,33 @@ _LOCK, _ORDER, _ANSWER = ".lock", ".order", ".answer"
 _TIMEOUT_S = 20.0
 _POLL_S = 0.05
 _LARGEST_ORDER = 4096
+#: A keeper that starts waits so long for a command that looks or orders.
+LOOKS_S = 2.0
 
 
 @contextmanager
-def kept(directory: Path) -> Iterator[bool]:
-    """Keep a directory while this lasts; yield whether nobody else does."""
+def kept(directory: Path, *, within_s: float = 0.0) -> Iterator[bool]:
+    """Keep a directory while this lasts; yield whether nobody else does.
+
+    within_s: another may go on for so long, as a command that looks.
+    """
+    ends_s = time.monotonic() + within_s
     directory.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield False
-        else:
-            yield True
+        while not (free := _locks(descriptor)) and time.monotonic() < ends_s:
+            time.sleep(_POLL_S)
+        yield free
     finally:
         os.close(descriptor)
+
+
+def _locks(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def answer_order(directory: Path, act: Callable[[str], None]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.upkeep.requests import (
+    LOOKS_S,
     DiskStore,
     InboxFolder,
     Program,
@@ -99,7 +100,7 @@ class VersionKeeper:
 
         inbox: a folder where updates and orders come as files.
         """
-        with kept(self.path) as free:
+        with kept(self.path, within_s=LOOKS_S) as free:
             if not free:
                 raise ConfigError(f"{self.path} runs already")
             self.versions.tidy()

@@ -1,7 +1,6 @@
 """A newcomer, who only reads what the pages say, does a task with a step of each kind."""
 
 import re
-import time
 
 import common
 import pytest
@@ -59,8 +58,7 @@ LEADS = (
     "Next task",
 )
 SIGNS = {"left": (-1, 0), "right": (1, 0), "up": (0, -1), "down": (0, 1)}
-#: So near the edge of the window a hand lets the handle go, and takes it anew in the middle.
-EDGE = 20
+EDGE = 20  #: So near the edge a hand lets the handle go, and takes it anew in the middle.
 
 
 @pytest.fixture
@@ -105,11 +103,8 @@ class Newcomer:
         try:
             found[which].click()
         except WebDriverException:
-            # It has gone since it was read.
             return False
         return True
-
-    # The mouse on the picture
 
     def press(self):
         picture = self.page.find("#picture")
@@ -173,7 +168,6 @@ class Newcomer:
         before = WAY.findall(says)
         gone = self.drag(says)
         after = WAY.findall(self.read("what to do"))
-        # The first way tells how far a millimetre is on this screen.
         if before and after and before[0][1] == after[0][1] and int(before[0][0]) > 20:
             share = 1 - int(after[0][0]) / int(before[0][0])
             if share > 0.05 and any(gone):
@@ -205,7 +199,6 @@ def test_a_newcomer_finishes_a_task_by_what_the_pages_say(words, task, session, 
     browser = start_browser(size=(1280, 900))
     # The one address that is printed leads to every seat.
     address = session.pages()["pages"]
-    began_s = time.monotonic()
     panel, top = Newcomer(browser, address), Newcomer(browser, address)
     assert "select a task" in top.read() and "Alone?" in top.read()
     top.sit_down("select a task")
@@ -218,7 +211,6 @@ def test_a_newcomer_finishes_a_task_by_what_the_pages_say(words, task, session, 
         common.eventually(lambda: "Finished" in panel.act(), "the end of the task", 300.0)
     finally:
         print(panel.read())
-    print(f"{words}: {task} finished {time.monotonic() - began_s:.1f} s after the address")
     eventually(lambda: "✓ finished" in top.read("runs"), "the run")
     assert task in top.read("runs")
     eventually(lambda: "●" in top.read("steps") and "○" not in top.read("steps"), "all dots")

@@ -9,7 +9,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.requests import DiskStore, InboxFolder, Program
+from pipelines.upkeep.requests import DiskStore, InboxFolder, Program, kept
 from telepresence.link.protection.identity import MachineKey
 from telepresence.upkeep.app_loader import BootDevice, Copy, copy_to_backup, note_worked
 from telepresence.upkeep.file_store import StoredFile, read_folder
@@ -176,3 +176,11 @@ def test_whatever_a_program_makes_of_its_status_the_keeper_goes_on(tmp_path, mon
     assert not program.news()
     monkeypatch.setattr("subprocess.Popen", MagicMock(side_effect=OSError))
     assert not program.start(tmp_path)
+
+
+def test_a_keeper_that_starts_waits_for_a_command_that_looks(tmp_path, monkeypatch):
+    looks = kept(tmp_path)
+    assert looks.__enter__()
+    monkeypatch.setattr("time.sleep", lambda _: looks.__exit__(None, None, None))
+    with kept(tmp_path, within_s=60.0) as free:
+        assert free
