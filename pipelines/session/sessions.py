@@ -67,7 +67,7 @@ def clear_dead_sessions() -> list[str]:
             cleared.append(directory.name)
             continue
         try:
-            if _locked(lock):
+            if locks_now(lock):
                 # Held until all is removed, so that no session begins in a vanishing directory.
                 remove_session(directory.name)
                 cleared.append(directory.name)
@@ -83,7 +83,7 @@ def _lock_new(session: str) -> int | None:
         make_session_root(session)
         with suppress(FileNotFoundError):
             lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
-            if not _locked(lock):
+            if not locks_now(lock):
                 os.close(lock)
                 return None
             # Another process may have removed the file before it was locked.
@@ -121,7 +121,7 @@ def is_alive(session: str) -> bool:
     except OSError:
         return False
     try:
-        return not _locked(lock)
+        return not locks_now(lock)
     finally:
         os.close(lock)
 
@@ -134,7 +134,8 @@ def started_here(session: str) -> bool:
         return False
 
 
-def _locked(lock: int) -> bool:
+def locks_now(lock: int) -> bool:
+    """Lock an open file without waiting; whether nobody else has it locked."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

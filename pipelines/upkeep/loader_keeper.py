@@ -19,12 +19,12 @@ import msgspec
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError, refused
 from pipelines.upkeep.requests import (
-    LOOKS_S,
     DiskStore,
     InboxFolder,
     Program,
     answer_order,
     give_order,
+    keeping,
     kept,
 )
 from telepresence.upkeep.app_loader import (
@@ -252,9 +252,7 @@ class LoaderKeeper:
         """
         if inbox is not None and ftp is not None:
             raise ConfigError("--inbox and --ftp: the server's copies would overwrite the update")
-        with kept(self.path, within_s=LOOKS_S) as free:
-            if not free:
-                raise ConfigError(f"{self.path} runs already")
+        with keeping(self.path):
             self._ftp, self._device = ftp, device
             self._program = Program(self.path / _STATUS, arguments)
             try:

@@ -5,7 +5,6 @@ is the file `run` of a folder; it is watched, and tells its status.
 """
 
 import errno
-import fcntl
 import os
 import signal
 import stat
@@ -18,6 +17,7 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS
 from kontur_av.errors import ConfigError, refused
 from pipelines.session.command_process import end_with_parent
+from pipelines.session.sessions import locks_now
 from telepresence.upkeep.file_store import FileStore, StoredFile, replace_file
 from telepresence.upkeep.inbox import (
     LARGEST_TOLD,
@@ -196,32 +196,33 @@ _TIMEOUT_S = 20.0
 _POLL_S = 0.05
 _LARGEST_ORDER = 4096
 #: A keeper that starts waits so long for a command that looks or orders.
-LOOKS_S = 2.0
+_START_S = 2.0
 
 
 @contextmanager
-def kept(directory: Path, *, within_s: float = 0.0) -> Iterator[bool]:
+def kept(directory: Path, *, wait_s: float = 0.0) -> Iterator[bool]:
     """Keep a directory while this lasts; yield whether nobody else does.
 
-    within_s: another may go on for so long, as a command that looks.
+    wait_s: so long it waits for who else does.
     """
-    ends_s = time.monotonic() + within_s
+    ends_s = time.monotonic() + wait_s
     directory.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
-        while not (free := _locks(descriptor)) and time.monotonic() < ends_s:
+        while not (free := locks_now(descriptor)) and time.monotonic() < ends_s:
             time.sleep(_POLL_S)
         yield free
     finally:
         os.close(descriptor)
 
 
-def _locks(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+@contextmanager
+def keeping(directory: Path) -> Iterator[None]:
+    """Be the keeper of a directory while this lasts. Raises ConfigError if another is."""
+    with kept(directory, wait_s=_START_S) as free:
+        if not free:
+            raise ConfigError(f"{directory} runs already")
+        yield
 
 
 def answer_order(directory: Path, act: Callable[[str], None]) -> None:

@@ -8,12 +8,12 @@ from pathlib import Path
 from kontur_av.clock import NS_PER_MS, NS_PER_S, MonotonicClock
 from kontur_av.errors import ConfigError
 from pipelines.upkeep.requests import (
-    LOOKS_S,
     DiskStore,
     InboxFolder,
     Program,
     answer_order,
     give_order,
+    keeping,
     kept,
 )
 from telepresence.link.protection.identity import MachineIdentity
@@ -100,9 +100,7 @@ class VersionKeeper:
 
         inbox: a folder where updates and orders come as files.
         """
-        with kept(self.path, within_s=LOOKS_S) as free:
-            if not free:
-                raise ConfigError(f"{self.path} runs already")
+        with keeping(self.path):
             self.versions.tidy()
             try:
                 self.versions.check(ELEMENTARY)

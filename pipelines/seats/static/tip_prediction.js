@@ -5,8 +5,9 @@
 
 /** @typedef {{xM: number, yM: number}} Place On the board, in metres. */
 
-/** A hand that moves less rests, and the robot has come to rest so long after it. */
+/** A hand that moves less rests. */
 const STILL_M = 0.0005;
+/** The robot rests so long after it knows that the hand does. */
 const SETTLED_US = 1_000_000;
 
 export class TipPrediction {
@@ -14,12 +15,12 @@ export class TipPrediction {
   #offset = null;
   /** The hand, while the button is pressed. @type {Place | null} */
   #hand = null;
-  /** Where the robot was without the hand, or where the hand had led it by the release. @type {Place | null} */
-  #left = null;
-  /** Where the robot came to rest, while the hand rests where it was. @type {Place | null} */
-  #rest = null;
-  /** Where the hand rests. @type {Place | null} */
-  #still = null;
+  /** The robot, while the button is released. @type {Place | null} */
+  #released = null;
+  /** The robot, while it and the hand rest. @type {Place | null} */
+  #atRest = null;
+  /** The hand at its newest motion. @type {Place | null} */
+  #moved = null;
   #movedUs = -Infinity;
   /** Of the newest press or release. */
   #changedUs = -Infinity;
@@ -28,7 +29,7 @@ export class TipPrediction {
   get tip() {
     const [hand, offset] = [this.#hand, this.#offset];
     if (hand === null || offset === null) return null;
-    return this.#rest ?? { xM: hand.xM + offset.xM, yM: hand.yM + offset.yM };
+    return this.#atRest ?? { xM: hand.xM + offset.xM, yM: hand.yM + offset.yM };
   }
 
   /**
@@ -39,33 +40,34 @@ export class TipPrediction {
     const changed = pressed !== (this.#hand !== null);
     if (changed) {
       this.#changedUs = nowUs;
-      if (!pressed) this.#left = this.tip;
-      else if (this.#left !== null) this.#offset = { xM: this.#left.xM - hand.xM, yM: this.#left.yM - hand.yM };
+      if (!pressed) this.#released = this.tip;
+      else if (this.#released !== null) this.#offset = { xM: this.#released.xM - hand.xM, yM: this.#released.yM - hand.yM };
     }
     this.#hand = pressed ? hand : null;
-    const still = this.#still;
-    if (changed || still === null || Math.hypot(hand.xM - still.xM, hand.yM - still.yM) > STILL_M) {
-      [this.#still, this.#movedUs, this.#rest] = [hand, nowUs, null];
+    const moved = this.#moved;
+    if (changed || moved === null || Math.hypot(hand.xM - moved.xM, hand.yM - moved.yM) > STILL_M) {
+      [this.#moved, this.#movedUs, this.#atRest] = [hand, nowUs, null];
     }
   }
 
   /**
-   * The robot has told its offset, which counts while the button is pressed, or its place, which
-   * counts otherwise, and once both rest: something may hold the robot. What it told before it knew
-   * of the newest press or release is of no use.
+   * The robot has told its offset or its place. The offset counts while the button is pressed. The
+   * place counts while it is released, and once hand and robot rest, because something may hold the
+   * robot. What it told before it knew of the newest press or release is of no use.
    * @param {"offset" | "place"} what @param {Place} told @param {number} heardUs @param {number} roundTripMs
    */
   handleTold(what, told, heardUs, roundTripMs) {
-    const askedUs = heardUs - 1000 * roundTripMs;
-    if (askedUs <= this.#changedUs) return;
+    // Of the hand's motions the robot knew the ones before this.
+    const knewUs = heardUs - 1000 * roundTripMs;
+    if (knewUs <= this.#changedUs) return;
     if (what === "offset" && this.#hand !== null) this.#offset = told;
-    if (what === "place" && this.#hand === null) this.#left = told;
-    if (what === "place" && askedUs > this.#movedUs + SETTLED_US) this.#rest = told;
+    if (what === "place" && this.#hand === null) this.#released = told;
+    if (what === "place" && knewUs > this.#movedUs + SETTLED_US) this.#atRest = told;
   }
 
   /** Nothing is known any more, because nothing is heard of the hand. */
   forget() {
-    this.#offset = this.#hand = this.#left = this.#rest = null;
+    this.#offset = this.#hand = this.#released = this.#atRest = null;
   }
 }
 

@@ -9,7 +9,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from kontur_av.errors import ConfigError
-from pipelines.upkeep.requests import DiskStore, InboxFolder, Program, kept
+from pipelines.upkeep.requests import DiskStore, InboxFolder, Program, keeping, kept
 from telepresence.link.protection.identity import MachineKey
 from telepresence.upkeep.app_loader import BootDevice, Copy, copy_to_backup, note_worked
 from telepresence.upkeep.file_store import StoredFile, read_folder
@@ -182,5 +182,5 @@ def test_a_keeper_that_starts_waits_for_a_command_that_looks(tmp_path, monkeypat
     looks = kept(tmp_path)
     assert looks.__enter__()
     monkeypatch.setattr("time.sleep", lambda _: looks.__exit__(None, None, None))
-    with kept(tmp_path, within_s=60.0) as free:
-        assert free
+    with keeping(tmp_path), kept(tmp_path) as free:
+        assert not free
