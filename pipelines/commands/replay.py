@@ -23,8 +23,9 @@ from pipelines.session.setup.sources import check_room
 from pipelines.session.setup.table import Setup, VideoStream
 from pipelines.table import topology_of
 
-#: All processes run, and the link is connected, this and two round trips after the start.
-_LEAD_NS = 2 * NS_PER_S
+#: All processes run, and the link is connected, this and two round trips after the start. On a full
+#: machine they take 1.2 s.
+_LEAD_NS = 4 * NS_PER_S
 #: From the last instant until what was sent then is shown, without the radio's delay.
 _TAIL_NS = 200 * NS_PER_MS
 
